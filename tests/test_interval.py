@@ -21,6 +21,8 @@ from hybrid.lowering.graph import Graph
 from hybrid.lowering.jaxpr import ELEMENTWISE, read
 from hybrid.lowering.lowered import Lowered
 from hybrid.lowering.ranges import RANGES
+from hybrid.rules import unit
+from hybrid.rules.bounds import outwards
 from tests.test_readers import EXPRESSIONS, automaton
 
 FLAGS = {"and", "or", "xor", "not"}
@@ -96,6 +98,38 @@ def test_ranges_of_doubles_hold_the_values_of_an_operation(op, data):
     with ctx.workprec(200):
         exact = BALLS[op](*(arb(point) for _, point in drawn))
         assert found[0] <= exact <= found[1]
+
+
+@given(st.floats(allow_infinity=False, allow_nan=False))
+def test_bounds_move_outwards_by_a_float(value):
+    """By two where the spacing of floats no longer falls with their size."""
+    low, high = outwards(value, value)
+    one = math.nextafter(value, -math.inf), math.nextafter(value, math.inf)
+    assert low <= one[0]
+    assert high >= one[1]
+    if abs(value) > 2.0**-1020:
+        assert (low, high) == one
+    assert low >= math.nextafter(one[0], -math.inf)
+    assert high <= math.nextafter(one[1], math.inf)
+
+
+@pytest.mark.parametrize("op", RANGES)
+@settings(max_examples=50, deadline=None)
+@given(st.data())
+def test_values_at_points_are_those_of_an_operation(op, data):
+    """One point beside another; NaN where the operation has no value."""
+    graph, count = Graph(), 2 if op in TWO else 1
+    inputs = [graph.input(f"x{i}") for i in range(count)]
+    node = graph.node("mul", *inputs, *inputs) if op == "square" else graph.node(op, *inputs)
+    program = IntervalProgram(graph, [node])
+    points = np.array([[data.draw(FLOATS) for _ in range(3)] for _ in range(count)])
+    found = np.zeros((len(program), 3))
+    unit("bounds").at_points(program._ranges, 0, points, 3, found)
+    there = found[program._ranges.results[0]].tolist()
+    for point, value in zip(points.T.tolist(), there, strict=True):
+        own = point * 2 if op == "square" else point
+        exact = plain("mul" if op == "square" else op, own)
+        assert value == pytest.approx(exact, rel=1e-15, nan_ok=True) or math.isinf(exact)
 
 
 @pytest.mark.parametrize(("function", "op"), [(math.sin, "sin"), (math.cos, "cos")])

@@ -147,7 +147,7 @@ class IntervalProgram:
         found = np.zeros((len(self), 2))
         if unit("bounds").ranges(self._ranges, 0, rows.reshape(-1, 2), found):
             return None
-        return [(low, high) for low, high in found[self._places].tolist()]
+        return [(low, high) for low, high in found[self._ranges.results].tolist()]
 
     def excludes_zero(self, box: Mapping[str, Any]) -> bool:
         """Whether every root is provably defined and nonzero on all of a box."""

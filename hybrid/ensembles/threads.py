@@ -26,7 +26,8 @@ from ..solvers.pairs import NO_TABLES
 from ..zeno.narrow import bounded
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Integers, Mask, Matrix, StateVector, StateVectors
+    from ..automaton.shapes import Integers, Mask, Matrix, StateVectors
+    from ..lowering.python import Scalar
 
 #: Lanes in a call, at most and at least: between two calls progress is told. Within these
 #: bounds there are so many calls for each thread, that all end together.
@@ -129,19 +130,23 @@ class Abreast:
         """The states at the ends of lanes."""
         n = self.given.starts.shape[1]
         until, x = flown.ends[:, FLOWN_TO].tolist(), flown.ends[:, STATE : STATE + n].copy()
-        ended = np.flatnonzero(flown.told[:, OUTCOME] == ENDED).tolist()
-        for k in ended:
-            x[k] = self.onto(int(flown.told[k, MODE]), int(flown.lanes[k]), until[k], x[k])
+        ended, number = flown.told[:, OUTCOME] == ENDED, flown.told[:, MODE]
+        for mode in np.unique(number[ended]).tolist():
+            which = np.flatnonzero(ended & (number == mode)).tolist()
+            lanes = flown.lanes[which].tolist()
+            for k, onto in zip(which, self.onto(mode, lanes), strict=False):
+                x[k] = onto(until[k], x[k].tolist())
         return x
 
-    def onto(self, number: int, lane: int, t: float, x: StateVector) -> StateVector:
-        """The state at the end of an arc in a field: on the contacts held, or the surface on which
-        it slides, as a run keeps it."""
-        field, values = self.tables.fields[number], tuple(self.given.values[lane].tolist())
+    def onto(self, number: int, lanes: list[int]) -> Iterator[Scalar]:
+        """What moves the state at the end of an arc in a field, of one lane after another, onto the
+        contacts held, or the surface on which it slides, as a run keeps it; nothing where it stays
+        as it is."""
+        field = self.tables.fields[number]
         if field.project is None:
-            return x
-        onto = self.scene.projection(field.mode, field.held, values)
-        return np.array(onto(t, x.tolist()))
+            return iter(())
+        onto = self.scene.projector(field.mode, field.held)
+        return (onto(tuple(values)) for values in self.given.values[lanes].tolist())
 
     def complete(self, which: Integers) -> Iterator[FlownLanes]:
         """Fly lanes, again those that ask for what the tables do not have yet."""
@@ -156,7 +161,7 @@ class Abreast:
                 yield flown.those((outcome == ENDED) | (outcome == LAST_JUMP))
             which = np.concatenate([which[:0], *(asks.lanes for asks in asking)])
             rows = [row for asks in asking for row in asks.told[:, [MODE, SUMMED]].tolist()]
-            for guard, column in sorted(map(tuple, rows)):
+            for guard, column in sorted(set(map(tuple, rows))):
                 self.tables.complete(guard, column, bounded)
 
     def _lay_out(self) -> None:

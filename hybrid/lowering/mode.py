@@ -403,17 +403,22 @@ class ModeGraph:
         """Names of the guards: those declared and, with contacts held, their loads."""
         return [*self.closed, *(f"{name}{RELEASE_SUFFIX}" for name in self.resting if held)]
 
-    def projection(self, numbers: Sequence[float]) -> Scalar:
-        """A function that projects a state onto zero gaps (two Newton steps) and zero gap speeds.
+    def projector(self) -> Callable[[Sequence[float]], Scalar]:
+        """Of values of parameters and mask the function that projects a state onto zero gaps (two
+        Newton steps) and zero gap speeds."""
+        both = [self.program(("onto", k), partial(self.onto, k)) for k in (False, True)]
+        uses = sorted({place for program in both for place in program.uses})
+        known: dict[tuple[float, ...], Scalar] = {}  # of one lane: most differ in what is not used
 
-        Parameters
-        ----------
-        numbers
-            Values of parameters and mask.
-        """
-        gaps = self.program(("onto", False), lambda: self.onto(False)).bind(numbers)
-        speeds = self.program(("onto", True), lambda: self.onto(True)).bind(numbers)
-        return lambda t, x: speeds(t, gaps(t, gaps(t, x)))
+        def projection(numbers: Sequence[float]) -> Scalar:
+            own = tuple(numbers[place] for place in uses)
+            if own not in known or 0.0 in own:  # of either sign
+                gaps, speeds = (program.bind(numbers) for program in both)
+                known.clear()
+                known[own] = lambda t, x: speeds(t, gaps(t, gaps(t, x)))
+            return known[own]
+
+        return projection
 
 
 def _groups(names: Sequence[str], linked: Mapping[tuple[str, str], bool]) -> list[list[str]]:

@@ -51,6 +51,8 @@ def literal(value: Any) -> str:
 class Program:
     """Generated scalar code of some expressions of ``(t, x, *extra)``.
 
+    ``uses``: which parameters it depends on.
+
     Parameters
     ----------
     graph : Graph
@@ -65,6 +67,9 @@ class Program:
 
     def __init__(self, graph: Graph, inputs: Sequence[str], size: int, outputs: Ids) -> None:
         self.source, self._foreign = _source(graph, inputs, size, outputs), graph.foreign
+        used = [graph.nodes[i] for i in needed(graph, outputs.reshape(-1).tolist())]
+        own = {node[1] for node in used if node[0] == "input" and node[1].startswith("p")}
+        self.uses = sorted(map(_index, own))
         self._code = compile(self.source, "<hybrid: generated>", "exec")
         self._maker: Scalar | None = None
 

@@ -16,6 +16,9 @@ RANGES = {
     for name in ("add", "sub", "neg", "mul", "div", "square", "sqrt", "exp", "sin", "cos", "abs")
 }
 
+#: Those of which the bounds are the same, to the last bit, in either order: each is made once.
+COMMUTE = (rule.ADD_BOUNDS, rule.MUL_BOUNDS)
+
 
 class Ranges:
     """Concatenated programs for bounds, to which more can be added."""
@@ -35,18 +38,28 @@ class Ranges:
 
         Returns its number, or None if an operation has no bounds.
         """
-        ops = [self._op(step, rows, given) for step in steps]
-        known = [op for op in ops if op is not None]
-        if len(known) < len(ops):
-            return None
+        ops: list[list[int]] = []
+        known: dict[tuple[int, ...], int] = {}
+        place: list[int] = []  # of each step, among the operations
+        for step in steps:
+            op = self._op(step, rows, given, place)
+            if op is None:
+                return None
+            own = (op[0], *sorted(op[1:])) if op[0] in COMMUTE else tuple(op)
+            if own not in known:
+                known[own] = len(ops)
+                ops.append(op)
+            place.append(known[own])
         first = len(self._ops)
-        self._index.append([first, first + len(known), len(self._results), len(results)])
-        self._ops += known
-        self._results += results
-        self.most = max(self.most, len(known))
+        self._index.append([first, first + len(ops), len(self._results), len(results)])
+        self._ops += ops
+        self._results += [place[result] for result in results]
+        self.most = max(self.most, len(ops))
         return len(self._index) - 1
 
-    def _op(self, step: Any, rows: Mapping[str, int], given: Any) -> list[int] | None:
+    def _op(
+        self, step: Any, rows: Mapping[str, int], given: Any, place: Sequence[int]
+    ) -> list[int] | None:
         if step.op == "input" and step.given in rows:
             return [rule.INPUT, rows[step.given], 0]
         if step.op in ("input", "const"):
@@ -56,7 +69,8 @@ class Ranges:
             return [rule.NUMBER, len(self._numbers) - 1, 0]
         if step.range is None:
             return None
-        return [step.range, *step.places, *[0] * (2 - len(step.places))]
+        places = [place[each] for each in step.places]
+        return [step.range, *places, *[0] * (2 - len(places))]
 
     def arrays(self) -> Bounds:
         """All programs so far, as arrays."""

@@ -250,10 +250,15 @@ class Scene:
 
     def projection(self, mode: str, held: tuple[str, ...], values: tuple[float, ...]) -> Scalar:
         """The projection onto a sliding surface or held contacts, for given parameter values."""
+        return self.projector(mode, held)(values)
+
+    def projector(self, mode: str, held: tuple[str, ...]) -> Callable[[tuple[float, ...]], Scalar]:
+        """The same for the values that come."""
         switching, graph = self.spec.sliding(mode), self.code.mode(mode)
         if switching is not None:
-            return self.code.onto(switching.name).bind(values)
-        return graph.projection((*values, *graph.masked(held)))
+            return self.code.onto(switching.name).bind
+        project, mask = graph.projector(), graph.masked(held)
+        return lambda values: project((*values, *mask))
 
     def _guard(self, edge: Transition, kind: Kind, mode: str, held: tuple[str, ...]) -> Guard:
         code, graph, name = self.code, self.code.mode(mode), edge.name

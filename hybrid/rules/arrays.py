@@ -239,6 +239,10 @@ class Look(NamedTuple):
         As :func:`.sums.shown` gives it.
     box, found : Matrix
         Bounds of time, gap speed and states, and of what is made of them.
+    bounded, sampled : Matrix
+        What is bounded in a box, and the least and the most of it at points there.
+    points, values : Matrix
+        Points as columns, with the rows of a box, and what is made of them.
     laws : Matrix
         Of flights by where on the curve they begin: logarithms of the growth of the speed and of
         the restitution, and behind them the coefficients of polynomials.
@@ -248,6 +252,10 @@ class Look(NamedTuple):
     shown: Matrix
     box: Matrix
     found: Matrix
+    bounded: Matrix
+    sampled: Matrix
+    points: Matrix
+    values: Matrix
     laws: Matrix
 
 

@@ -10,7 +10,7 @@ import math
 
 from .arrays import Bounds, Matrix
 
-__all__ = ("ranges",)
+__all__ = ("at_points", "ranges")
 
 #: A product and a sum are never one operation, as each is rounded outwards by itself.
 EXACT = True
@@ -22,6 +22,10 @@ DIV_BOUNDS, SQRT_BOUNDS, EXP_BOUNDS, SIN_BOUNDS, COS_BOUNDS, ABS_BOUNDS = range(
 #: What a function of the C library may be off, against its size: several spacings, where the usual
 #: ones are off by one.
 LIBRARY_ERROR = 2.0**-50
+
+#: A little more than half of a float's relative spacing, and the smallest float: a float less these
+#: is the next lower one.
+HALF_SPACING, LEAST = 2.0**-53 * (1.0 + 2.0**-52), 2.0**-1074
 
 #: Beyond this the exponential is more than a double can be; a quarter of a turn.
 LARGEST, QUARTER = 709.782712893384, 0.5 * math.pi
@@ -47,6 +51,54 @@ def ranges(b: Bounds, program: int, box: Matrix, found: Matrix) -> int:
             return -1
         found[k - first, 0], found[k - first, 1] = low, high
     return 0
+
+
+def at_points(b: Bounds, program: int, points: Matrix, count: int, found: Matrix) -> None:
+    """Values of a program's operations at points, but for rounding; NaN where there is none.
+
+    ``points`` has the rows of a box and, like ``found``, a column for each point.
+    """
+    first = b.index[program, 0]
+    for k in range(first, b.index[program, 1]):
+        op, one, other, own = b.ops[k, 0], b.ops[k, 1], b.ops[k, 2], found[k - first]
+        if op == INPUT:
+            for i in range(count):
+                own[i] = points[one, i]
+        elif op == NUMBER:
+            for i in range(count):
+                own[i] = b.numbers[one]
+        elif op == MUL_BOUNDS:
+            for i in range(count):
+                own[i] = found[one, i] * found[other, i]
+        elif op == ADD_BOUNDS:
+            for i in range(count):
+                own[i] = found[one, i] + found[other, i]
+        else:
+            for i in range(count):
+                own[i] = valued(op, found[one, i], found[other, i])
+
+
+def valued(op: int, a: float, c: float) -> float:
+    """An operation on numbers; NaN where it has no value."""
+    if op == SUB_BOUNDS:
+        return a - c
+    if op == NEG_BOUNDS:
+        return -a
+    if op == SQUARE_BOUNDS:
+        return a * a
+    if op == ABS_BOUNDS:
+        return abs(a)
+    if op == DIV_BOUNDS and c != 0.0:
+        return a / c
+    if op == SQRT_BOUNDS and a >= 0.0:
+        return math.sqrt(a)
+    if op == EXP_BOUNDS and a < LARGEST:
+        return math.exp(a)
+    if op == SIN_BOUNDS and abs(a) <= TURNS:
+        return math.sin(a)
+    if op == COS_BOUNDS and abs(a) <= TURNS:
+        return math.cos(a)
+    return math.nan
 
 
 def bounds(op: int, a: float, b: float, c: float, d: float) -> tuple[float, float]:
@@ -78,8 +130,11 @@ def bounds(op: int, a: float, b: float, c: float, d: float) -> tuple[float, floa
 
 
 def outwards(low: float, high: float) -> tuple[float, float]:
-    """Bounds that have been rounded, whatever way, moved on by one float each."""
-    return math.nextafter(low, -math.inf), math.nextafter(high, math.inf)
+    """Bounds that have been rounded, whatever way, moved on by one float each (two next to the
+    smallest normal one), without a call (Rump, Zimmermann, Boldo and Melquiond, "Computing
+    predecessor and successor in rounding to nearest", BIT 49, 2009)."""
+    down, up = HALF_SPACING * abs(low) + LEAST, HALF_SPACING * abs(high) + LEAST
+    return low - down, high + up
 
 
 def products(p: float, q: float, r: float, s: float) -> tuple[float, float]:

@@ -9,20 +9,19 @@ from __future__ import annotations
 import math
 
 from .arrays import AutomatonArrays, Floats, Look, Matrix, Sums
-from .bounds import ranges
+from .bounds import at_points, ranges
 from .chebyshev import from_values, nodes, value
 from .flights import fly
-from .jets import values
 from .lengths import LAST_TERMS
 from .sums import (
     CURVE_BASIS,
-    KICK,
     LEAST_LOSS,
-    READ,
-    RESTITUTION_LAW,
+    POINTS_EACH,
     STATE_THERE,
     STRETCH_POINTS,
+    hull,
     on_curve,
+    part,
     restitution,
     shown,
 )
@@ -84,23 +83,44 @@ def seen(
     room: Sums,
     look: Look,
 ) -> bool:
-    """Whether bounds along a tail are what is there at its points, as far as doubles tell."""
+    """Whether bounds along a tail are what is there at its points, as far as doubles tell.
+
+    From its limit on, flight by flight: of each no larger part is asked than the largest that did
+    in the flight after it, which is lower.
+    """
     put(look.stretches[0], 0.0, math.inf, 0.0, 1.0, TAIL_HALVINGS)
-    count = 1
+    count, n, flight, largest, most = 1, x.shape[0], -1.0, 1.0, 1.0
     while count > 0:
         count -= 1
         s = look.stretches[count]
-        points = shown(
-            a.programs, flow, at, curve, t, x, v, r, r ** s[FIRST_IMPACT], r ** s[LAST_IMPACT],
-            s[SHARE_FROM], s[SHARE_TO], room, look.shown,
-        )  # fmt: skip
+        single, size = s[FIRST_IMPACT] == s[LAST_IMPACT], s[SHARE_TO] - s[SHARE_FROM]
+        if single and s[FIRST_IMPACT] == flight:
+            points = shown_again(s, n, room, look)
+        else:
+            points = shown(
+                a.programs, flow, at, curve, t, x, v, r, r ** s[FIRST_IMPACT], r ** s[LAST_IMPACT],
+                s[SHARE_FROM], s[SHARE_TO], room, look.shown,
+            )  # fmt: skip
+            flight = s[FIRST_IMPACT] if single else -1.0
+            most, largest = (largest, 0.0) if single else (most, largest)
         boxed(s[LAST_IMPACT] < math.inf, look)
-        if not fits(a, at, sight, x.shape[0], points, excess, room, look):
-            if s[HALVINGS_LEFT] == 0.0:
-                return False
+        asked = not single or size <= most or s[HALVINGS_LEFT] == 0.0
+        if asked and fits(a, sight, n, points, excess, look):
+            largest = max(largest, size) if single else largest
+        elif s[HALVINGS_LEFT] > 0.0:
             halved(look.stretches, count, r)
             count += 2
+        else:
+            return False
     return True
+
+
+def shown_again(s: Floats, n: int, room: Sums, look: Look) -> int:
+    """Points of another part of the flight that is shown, whose ends are still put down."""
+    leaves, lands = look.shown[0, n + 2], look.shown[0, n + 3]
+    part(n, leaves, lands, s[SHARE_FROM], s[SHARE_TO], room.lines, 0, look.shown)
+    hull(n, POINTS_EACH, look.shown)
+    return POINTS_EACH
 
 
 def damped(
@@ -228,38 +248,51 @@ def boxed(moves: bool, look: Look) -> None:
         box[STATE_ROWS + j, 1] = math.nextafter(most[j + 1] + wider, math.inf)
 
 
-def fits(
-    a: AutomatonArrays,
-    at: int,
-    sight: int,
-    n: int,
-    points: int,
-    excess: float,
-    room: Sums,
-    look: Look,
-) -> bool:
+def fits(a: AutomatonArrays, sight: int, n: int, points: int, excess: float, look: Look) -> bool:
     """Whether what is bounded is in the box what it is at the points, but for an excess, and no
-    other guard is zero there. The box is gone then."""
+    other guard is zero there."""
     if ranges(a.bounds, sight, look.box, look.found) < 0:
         return False
-    results = a.bounds.index[sight, 2]
-    fit = True
-    size = 0.0
-    for k in range(LAST_RATE):
-        low, high = math.inf, -math.inf
-        for i in range(points):
-            value = there(a, at, k, n, look.shown[i], room)
-            low, high = min(low, value), max(high, value)
-            fit = fit and not math.isnan(value)
-        size = max(-low, high) if k == ACCELERATION else size
-        wide = high - low + excess * (size if k == ACCELERATION else 1.0)
-        top = math.nextafter(0.0, -math.inf) if k == ACCELERATION else 1.0 - LEAST_LOSS
-        found = look.found[a.bounds.results[results + k]]
-        fit = fit and low - wide <= found[0] and found[1] <= min(high + wide, top)
+    results, size, fit = a.bounds.index[sight, 2], 0.0, True
     for k in range(OTHER_GUARDS, a.bounds.index[sight, 3]):
         found = look.found[a.bounds.results[results + k]]
         fit = fit and (found[0] > 0.0 or found[1] < 0.0)
-    return fit and steady(a, sight, n, points, excess, size, look)
+    for k in range(OTHER_GUARDS):
+        found = look.found[a.bounds.results[results + k]]
+        look.bounded[k, 0], look.bounded[k, 1] = found[0], found[1]
+    if not (fit and sampled(a, sight, n, points, look)):
+        return False
+    for k in range(LAST_RATE):
+        low, high = look.sampled[k, 0], look.sampled[k, 1]
+        size = max(-low, high) if k == ACCELERATION else size
+        wide = high - low + excess * (size if k == ACCELERATION else 1.0)
+        top = math.nextafter(0.0, -math.inf) if k == ACCELERATION else 1.0 - LEAST_LOSS
+        fit = fit and within(look.bounded[k], low - wide, min(high + wide, top))
+    return fit and steady(n, points, excess, size, look)
+
+
+def sampled(a: AutomatonArrays, sight: int, n: int, points: int, look: Look) -> bool:
+    """Put down the least and the most of what is bounded at the points that are shown; False where
+    something has no value."""
+    results, exists = a.bounds.index[sight, 2], True
+    for i in range(points):
+        look.points[TIME_ROW, i], look.points[SPEED_ROW, i] = look.shown[i, 0], look.shown[i, n + 1]
+        for j in range(n):
+            look.points[STATE_ROWS + j, i] = look.shown[i, j + 1]
+    at_points(a.bounds, sight, look.points, points, look.values)
+    for k in range(OTHER_GUARDS):
+        there = look.values[a.bounds.results[results + k]]
+        low, high = math.inf, -math.inf
+        for i in range(points):
+            low, high = min(low, there[i]), max(high, there[i])
+            exists = exists and not math.isnan(there[i])
+        look.sampled[k, 0], look.sampled[k, 1] = low, high
+    return exists
+
+
+def within(found: Floats, low: float, high: float) -> bool:
+    """Whether bounds are between two numbers."""
+    return low <= found[0] and found[1] <= high
 
 
 def brief(size: float, length: float) -> float:
@@ -269,34 +302,12 @@ def brief(size: float, length: float) -> float:
     return RATES_FACTORIAL * size / shares if shares > 0.0 else math.inf
 
 
-def steady(
-    a: AutomatonArrays, sight: int, n: int, points: int, excess: float, size: float, look: Look
-) -> bool:
-    """Whether the last rate is small in a box, or what it is at the points, but for an excess. The
-    box and what has been found there are gone then."""
-    place = a.bounds.results[a.bounds.index[sight, 2] + LAST_RATE]
-    least, most = look.found[place, 0], look.found[place, 1]
+def steady(n: int, points: int, excess: float, size: float, look: Look) -> bool:
+    """Whether the last rate is small in a box, or what it is at the points, but for an excess."""
     small = brief(excess * size, longest(look.shown, n, points))
-    if -small <= least and most <= small:
-        return True
-    low, high = math.inf, -math.inf
-    for i in range(points):
-        at_point(look.shown[i], n, look.box)
-        if ranges(a.bounds, sight, look.box, look.found) < 0:
-            return False
-        low, high = min(low, look.found[place, 0]), max(high, look.found[place, 1])
-        wide = high - low + small + excess * max(-low, high)
-        if low - wide <= least and most <= high + wide:  # and with more points all the more
-            return True
-    return False
-
-
-def at_point(shown: Floats, n: int, box: Matrix) -> None:
-    """The box of one point that is shown."""
-    for end in range(2):
-        box[TIME_ROW, end], box[SPEED_ROW, end] = shown[0], shown[n + 1]
-        for j in range(n):
-            box[STATE_ROWS + j, end] = shown[j + 1]
+    low, high = look.sampled[LAST_RATE, 0], look.sampled[LAST_RATE, 1]
+    wide, found = high - low + small + excess * max(-low, high), look.bounded[LAST_RATE]
+    return within(found, -small, small) or within(found, low - wide, high + wide)
 
 
 def longest(shown: Matrix, n: int, points: int) -> float:
@@ -305,12 +316,3 @@ def longest(shown: Matrix, n: int, points: int) -> float:
     for i in range(points):
         length = max(length, shown[i, n + 3] - shown[i, n + 2])
     return length
-
-
-def there(a: AutomatonArrays, at: int, what: int, n: int, point: Floats, room: Sums) -> float:
-    """The gap's acceleration, or the restitution, at a point that is shown."""
-    read = room.lines[READ]
-    program = at + (KICK if what == ACCELERATION else RESTITUTION_LAW)
-    state = point[1 : n + 2] if what == RESTITUTION else point[1 : n + 1]
-    values(a.programs, program, point[0], state, room.sides, room.c, room.work, read)
-    return read[n + 1] if what == ACCELERATION else read[0]

@@ -31,7 +31,7 @@ from .kinks import NO_SERIES
 from .lengths import LAST_TERMS
 from .linear import solve, unfitted
 
-__all__ = ("close", "impacts", "on_curve", "restitution", "shown", "touch")
+__all__ = ("close", "hull", "impacts", "on_curve", "part", "restitution", "shown", "touch")
 
 # Rows of ``lines``: Chebyshev coefficients of the curve; flights and impacts from its points; right
 # sides, then values there. Of time and states at the limit: since the first impact; what the last
@@ -444,15 +444,29 @@ def shown(
     Returns the number of points, fewer of a single flight.
     """
     count = STRETCH_POINTS if first > last else POINTS_EACH
-    n, lines, leaves, lands = x.shape[0], room.lines, 0.0, 0.0
-    least, most = out[STRETCH_POINTS], out[STRETCH_POINTS + 1]
-    for i in range(count):
-        share = begin + (end - begin) * (i % POINTS_EACH) / (POINTS_EACH - 1)
-        if i % POINTS_EACH == 0:
-            w = last + (first - last) * (i // POINTS_EACH) / (STRETCH_FLIGHTS - 1)
-            leaves = end_of_flight(p, flow, at, curve, t, x, v, w, 1.0, LEAVING, room)
-            lands = end_of_flight(p, flow, at, curve, t, x, v, r * w, -1.0 / r, STRIKING, room)
-        length = lands - leaves
+    for i in range(0, count, POINTS_EACH):
+        w = last + (first - last) * (i // POINTS_EACH) / (STRETCH_FLIGHTS - 1)
+        leaves = end_of_flight(p, flow, at, curve, t, x, v, w, 1.0, LEAVING, room)
+        lands = end_of_flight(p, flow, at, curve, t, x, v, r * w, -1.0 / r, STRIKING, room)
+        part(x.shape[0], leaves, lands, begin, end, room.lines, i, out)
+    hull(x.shape[0], count, out)
+    return count
+
+
+def part(
+    n: int,
+    leaves: float,
+    lands: float,
+    begin: float,
+    end: float,
+    lines: Matrix,
+    first: int,
+    out: Matrix,
+) -> None:
+    """Points of a flight between two shares, whose ends are put down, as rows from ``first`` on."""
+    length = lands - leaves
+    for i in range(first, first + POINTS_EACH):
+        share = begin + (end - begin) * (i - first) / (POINTS_EACH - 1)
         for j in range(n):
             chord = lines[STRIKING, j] - lines[LEAVING, j]
             early = length * lines[LEAVING + 1, j] - chord
@@ -461,10 +475,15 @@ def shown(
             out[i, j + 1] = lines[LEAVING, j] + share * chord + bow
         out[i, 0], out[i, n + 1] = leaves + share * length, lines[STRIKING, n]
         out[i, n + 2], out[i, n + 3] = leaves, lands
-        for j in range(n + 4):
-            least[j] = out[i, j] if i == 0 else min(least[j], out[i, j])
-            most[j] = out[i, j] if i == 0 else max(most[j], out[i, j])
-    return count
+
+
+def hull(n: int, count: int, out: Matrix) -> None:
+    """The least and the most of each column of the first rows."""
+    least, most = out[STRETCH_POINTS], out[STRETCH_POINTS + 1]
+    for j in range(n + 4):
+        least[j] = most[j] = out[0, j]
+        for i in range(1, count):
+            least[j], most[j] = min(least[j], out[i, j]), max(most[j], out[i, j])
 
 
 def end_of_flight(

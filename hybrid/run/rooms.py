@@ -15,7 +15,7 @@ from ..rules.arrays import AutomatonArrays, Left, Look, Now, Room, Sums
 from ..rules.calls import held
 from ..rules.lengths import short_order
 from ..rules.places import CURVE_ROWS, FLOWING, REMAINING, STATE_FLOATS, STATE_INTS, TOLERANCES
-from ..rules.sights import LAW_POINTS, STATE_ROWS, TAIL_HALVINGS
+from ..rules.sights import LAW_POINTS, OTHER_GUARDS, STATE_ROWS, TAIL_HALVINGS
 from ..rules.sums import STRETCH_POINTS
 from ..zeno.accumulate import room_for_sums
 
@@ -27,8 +27,9 @@ def work_for(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
     """Arrays for one run to work in."""
     *needs, bounds = tables.needs
     stretches, shown = np.zeros((TAIL_HALVINGS + 2, 5)), np.zeros((STRETCH_POINTS + 2, n + 4))
-    pairs = [np.zeros((rows, 2)) for rows in (STATE_ROWS + n, bounds, 2 * LAW_POINTS + 2)]
-    look = Look(stretches, shown, *pairs)
+    pairs = [np.zeros((k, 2)) for k in (STATE_ROWS + n, bounds, OTHER_GUARDS, OTHER_GUARDS)]
+    points = [np.zeros((k, STRETCH_POINTS)) for k in (STATE_ROWS + n, bounds)]
+    look = Look(stretches, shown, *pairs, *points, np.zeros((2 * LAW_POINTS + 2, 2)))
     own = tables.room(order)
     short = own._replace(c=np.empty((len(own.c), short_order(order) + 1)))
     return own, room_for_sums(needs, n)._replace(short=short), look
