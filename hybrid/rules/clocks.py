@@ -27,7 +27,6 @@ from .places import (
     LANDED,
     LAST_TIME,
     LOOK,
-    LOST,
     LOW,
     MADE,
     METHOD_ORDER,
@@ -36,6 +35,7 @@ from .places import (
     PHASE,
     RINGS,
     STEP_END,
+    STEPS_LOST,
     STEPS_MADE,
     TAU,
     WALKS,
@@ -109,7 +109,7 @@ def close(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) -> bo
     """Whether a clock rings so soon behind a guard's zero that what another solver's steps have
     lost may hide that they are at one time."""
     left = now.floats[DUE] - t
-    if now.floats[LOST] == 0.0 or not left < math.inf:
+    if now.floats[STEPS_LOST] == 0.0 or not left < math.inf:
         return False
     way = (t - now.floats[T]) - now.floats[LOW]
     _, rate, hides = hidden_of(a, run, now, room, now.ints[EVENT], t, way)

@@ -54,7 +54,6 @@ from .places import (
     LAST_TIME,
     LOCAL,
     LOOK,
-    LOST,
     LOW,
     LOW_AHEAD,
     MADE,
@@ -73,6 +72,7 @@ from .places import (
     REST_AFTER,
     SERIES,
     SIGHT,
+    STEPS_LOST,
     STEPS_MADE,
     STRIKES,
     SUM,
@@ -94,7 +94,7 @@ from .sums import (
 )
 from .sums import TO_LIMIT as LIMITS
 from .tails import clear, count
-from .ties import APART, late_by
+from .ties import FURTHEST_APART, late_by
 from .zeros import EPS
 
 __all__ = ("go",)
@@ -178,8 +178,8 @@ def fits(run: Floats, now: Now, left: Left, tail: int, t: float, low: float, x: 
     remaining, size = row[REMAINING], so_far(now, x)
     over, error = remaining - until, left.curves[first + ERRORS, 0]
     share = run[RELATIVE] + (run[ABSOLUTE] / size if size > 0.0 else 0.0)
-    late = late_by(now.floats[LOST], share, error, run[UNTIL], now.floats[TAU] + remaining)
-    if not (until > 0.0 and over <= min(late, APART * remaining)):
+    late = late_by(now.floats[STEPS_LOST], share, error, run[UNTIL], now.floats[TAU] + remaining)
+    if not (until > 0.0 and over <= min(late, FURTHEST_APART * remaining)):
         return False
     for k in range(int(row[CURVE_DEGREE]) + 1):
         left.curves[first + k, 0] *= until / remaining

@@ -26,12 +26,12 @@ from .places import (
     GUARDS,
     GUARDS_END,
     KIND,
-    LOST,
     LOW,
     OFF,
     OWN,
     RELATIVE,
     STEP_END,
+    STEPS_LOST,
     SWITCH,
     TAU,
     TOLERANCES,
@@ -51,7 +51,7 @@ MOST_LOST = 16.0
 
 #: Events further apart than this share of the arc are no tie, whatever was lost: what is done at
 #: the first of them is then known no worse than to this share.
-APART = 1e-3
+FURTHEST_APART = 1e-3
 
 #: By so much what steps have lost may have grown along the way.
 GROWN = 4.0
@@ -98,7 +98,7 @@ def gathered(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, mo
     it; returns by how much. The time goes on by ``most`` at most."""
     field, later, moved = now.ints[FIELD], 0.0, 0.0
     first, last = a.fields[field, GUARDS], a.fields[field, GUARDS_END]
-    for _ in range(GATHERINGS if now.floats[LOST] > 0.0 else 0):
+    for _ in range(GATHERINGS if now.floats[STEPS_LOST] > 0.0 else 0):
         step = 0.0
         for g in range(first, last):
             if g != now.ints[EVENT] and near(a, run, now, room, g, t + later):
@@ -178,7 +178,7 @@ def hidden_by(lost: float, share: float, own: float, rate: float, way: float) ->
         Its rate, and the time since the arc began; 0 where it begins.
     """
     hidden = GROWN * lost * share * max(own, abs(rate) * way)
-    return min(hidden, APART * abs(rate) * way) if way > 0.0 else hidden
+    return min(hidden, FURTHEST_APART * abs(rate) * way) if way > 0.0 else hidden
 
 
 def hidden_of(
@@ -190,7 +190,7 @@ def hidden_of(
     field, kind, size = now.ints[FIELD], a.guards[guard, KIND], 0.0
     program = a.fields[field, FIELD_PROGRAM]
     row = row_of(a, program, field, guard)
-    if now.floats[LOST] == 0.0 or kind not in (EDGE, CONTACT, SWITCH):
+    if now.floats[STEPS_LOST] == 0.0 or kind not in (EDGE, CONTACT, SWITCH):
         return 0.0, 0.0, -1.0
     if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
         return 0.0, 0.0, -1.0
@@ -204,7 +204,7 @@ def hidden_of(
     if size == 0.0 or not own < math.inf:
         return value, rate, -1.0
     share = run[RELATIVE] + run[ABSOLUTE] / size
-    return value, rate, hidden_by(now.floats[LOST], share, own, rate, way)
+    return value, rate, hidden_by(now.floats[STEPS_LOST], share, own, rate, way)
 
 
 def late_by(lost: float, share: float, error: float, t: float, way: float) -> float:
@@ -216,7 +216,7 @@ def late_by(lost: float, share: float, error: float, t: float, way: float) -> fl
 def near(a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int, t: float) -> bool:
     """Whether a guard is about to fire at ``now.end``, or just has, and what another solver's
     steps have lost may hide that it does so there."""
-    if now.floats[LOST] == 0.0:
+    if now.floats[STEPS_LOST] == 0.0:
         return False
     before = now.signs[guard - a.fields[now.ints[FIELD], GUARDS]]
     way = (t - now.floats[T]) - now.floats[LOW]
@@ -242,4 +242,4 @@ def loses(run: Floats, now: Now, room: Room, h: float) -> float:
 def lose(run: Floats, now: Now, room: Room, h: float, known: bool) -> None:
     """Add what a step of another solver has lost. ``known``: there are series of the flow."""
     own = loses(run, now, room, h) if known else 1.0
-    now.floats[LOST] = min(now.floats[LOST] + own, MOST_LOST)
+    now.floats[STEPS_LOST] = min(now.floats[STEPS_LOST] + own, MOST_LOST)

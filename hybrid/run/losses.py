@@ -10,7 +10,7 @@ import numpy as np
 from ..events import fires
 from ..lowering import Field, Guard, Scene
 from ..rules.lengths import behind
-from ..rules.ties import APART, GATHERINGS, MOST_LOST, hidden_by, late_by
+from ..rules.ties import FURTHEST_APART, GATHERINGS, MOST_LOST, hidden_by, late_by
 from ..solvers import Stepper
 from ..trajectory.plan import Plan
 from .entry import expand
@@ -76,7 +76,7 @@ class Losses:
         size = float(np.max(self.seen, initial=0.0))
         share = self.plan.rtol + (self.plan.limit / size if size else 0.0)
         late = late_by(self.tolerances, share, error, t, way)
-        return min(late, APART * remaining)
+        return min(late, FURTHEST_APART * remaining)
 
     def near(
         self, scene: Scene, field: Field, t: float, x: StateVector, way: float

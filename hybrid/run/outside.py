@@ -17,10 +17,10 @@ from ..rules.places import (
     FIELD,
     FIRST_LENGTH,
     JUMPS_MADE,
-    LOST,
     LOW,
     MADE,
     STEP_END,
+    STEPS_LOST,
     STEPS_MADE,
     TAU,
     TO_TAU,
@@ -74,9 +74,9 @@ class Outside:
         if known is not None:
             start, _, powers = known
             losses = self.driver.losses
-            losses.tolerances = float(now.floats[LOST])
+            losses.tolerances = float(now.floats[STEPS_LOST])
             losses.note(self.field, self.since.t, start, powers[:, 0], stepper)
-            now.floats[LOST] = losses.tolerances
+            now.floats[STEPS_LOST] = losses.tolerances
         self._ends(now, left)
         now.floats[TO_TAU] = self.stepper.tau
 
