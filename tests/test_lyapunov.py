@@ -78,6 +78,43 @@ def test_directions_are_lost_for_good():
     assert rests.exponents.tolist() == [-math.inf, -math.inf]
 
 
+class Beside(hy.Automaton):
+    """A bead on a shaking table, and a coordinate of its own that decays at the rate 0.3."""
+
+    x = hy.state()
+    v = hy.state()
+    q = hy.state()
+    r = hy.parameter(0.7)
+    amplitude = hy.parameter(0.1)
+    omega = hy.parameter(0.3)
+
+    @hy.mode(initial=True)
+    def f(self, t, s):
+        return s.v, -9.8, -0.3 * s.q
+
+    table = hy.contact(
+        f, gap=lambda self, t, s: s.x - self.amplitude * jnp.sin(self.omega * t), restitution="r"
+    )
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize(
+    ("r", "omega", "amplitude"),
+    [(0.7, 0.3, 0.1), (0.7, 1.0, 0.1), (0.85, 0.5, 0.02), (0.5, 0.1, 1.0), (0.3, 2.0, 0.5)],
+)
+def test_a_rest_on_a_moving_table_loses_two_directions(r, omega, amplitude, solver):
+    """What the matrix of the limit has off zero is its error, and no direction: -inf, not -13."""
+    given, start = {"r": r, "omega": omega, "amplitude": amplitude}, [amplitude + 0.6, 0.0]
+    options = {"transient": 0.0, "solver": solver}
+    rests = hy.lyapunov(BeadOnTable(**given), start, (0.0, 20.0), **options)
+    assert len(rests.run.zeno) == 1
+    assert rests.exponents.tolist() == [-math.inf, -math.inf]
+    beside = hy.lyapunov(Beside(**given), [*start, 1.0], (0.0, 20.0), **options)
+    # a direction at random has some share of its own, of which a hundredth counts log(100) / 20
+    assert beside.exponents[0] == pytest.approx(-0.3, abs=0.25)
+    assert beside.exponents[1:].tolist() == [-math.inf, -math.inf]
+
+
 def test_the_largest_alone():
     """``count`` of them, from the largest on."""
     found = hy.lyapunov(Linear(), [1.0, 1.0], (0.0, 60.0), count=1, transient=40.0)

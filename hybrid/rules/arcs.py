@@ -16,7 +16,7 @@ import math
 
 from .arrays import AutomatonArrays, Floats, Ints, Left, Matrix, Now, Room
 from .checks import along
-from .clocks import beside, ended, wind
+from .clocks import beside, close, ended, wind
 from .contacts import onto
 from .entries import starts
 from .guards import (
@@ -97,7 +97,7 @@ from .places import (
     T,
 )
 from .steps import step
-from .ties import latest, together
+from .ties import gathered, latest, lose, together
 from .zeros import EPS
 
 __all__ = ("first_step",)
@@ -163,7 +163,7 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     if jets(a.programs, program, order, now.floats[T], now.x, room.sides, room.c, room.work) < 0:
         return LOOK
-    fires = starts(a, now, room)
+    fires = starts(a, run, now, room)
     if fires != NONE:
         return at_once(now, fires)
     now.floats[AIM] = aim(a, now, room, True)
@@ -240,7 +240,7 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     now.ints[EXPANSIONS] += 1
     if now.ints[SHORT] == 0 and made < longest:
         now.floats[SERIES_REACH] = made
-    fires = NONE if now.ints[MADE] > 0 else HARD if status < 0 else starts(a, now, room)
+    fires = NONE if now.ints[MADE] > 0 else HARD if status < 0 else starts(a, run, now, room)
     if fires != NONE or status < 0:
         return at_once(now, fires)
     h, shown = made, resolved(a, run, now, room, now.floats[T] + tau, made, crossed >= 0)
@@ -269,6 +269,7 @@ def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         guard, s = first_event(a, run, now, room, h, starting)
     elif now.ints[PHASE] == LOOKS:
         guard, s = -1, 0.0
+        lose(run, now, room, h, now.floats[AIM] >= 0.0)
         if now.floats[AIM] >= 0.0:
             guard, s = foreseen(a, run, now, room, h, starting)
         if s == 0.0:
@@ -363,7 +364,10 @@ def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         return again(run, now, room, at + further - ago, least, most)
     if run[METHOD_ORDER] == 0.0:
         kept(now, room, left, tau, at + further - tau)
-    now.ints[FIRED] = together(a, now, room, now.floats[T] + at + further)
+    if close(a, run, now, room, now.floats[T] + at + further):
+        return LOOK
+    further += gathered(a, run, now, room, now.floats[T] + at + further, length - at - further)
+    now.ints[FIRED] = together(a, run, now, room, now.floats[T] + at + further)
     now.floats[TAU] = at + further
     now.ints[STEPS_MADE] += now.ints[MADE] + 1
     return LANDED

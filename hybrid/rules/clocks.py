@@ -16,6 +16,7 @@ from .places import (
     CLOCKS_END,
     DUE,
     END,
+    EVENT,
     FIELD,
     FIRED,
     FLIGHTS,
@@ -34,13 +35,14 @@ from .places import (
     PHASE,
     RINGS,
     STEP_END,
+    STEPS_LOST,
     STEPS_MADE,
     TAU,
     WALKS,
     WATCHED,
     T,
 )
-from .ties import ago
+from .ties import ago, hidden_of, near
 from .zeros import EPS
 
 
@@ -103,6 +105,17 @@ def beside(now: Now, tau: float) -> bool:
     return left <= TIED_IN_STEP * length + TIE * EPS * abs(now.floats[T])
 
 
+def close(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) -> bool:
+    """Whether a clock rings so soon behind a guard's zero that what another solver's steps have
+    lost may hide that they are at one time."""
+    left = now.floats[DUE] - t
+    if now.floats[STEPS_LOST] == 0.0 or not left < math.inf:
+        return False
+    way = (t - now.floats[T]) - now.floats[LOW]
+    _, rate, hides = hidden_of(a, run, now, room, now.ints[EVENT], t, way)
+    return abs(rate) * left <= hides
+
+
 def ended(a: AutomatonArrays, run: Floats, now: Now, room: Room, length: float) -> int:
     """End an arc at its last time: ``END``, or ``LANDED`` if a clock rings; ``LOOK`` if a guard is
     zero there, too, or may fire before any flow."""
@@ -111,8 +124,9 @@ def ended(a: AutomatonArrays, run: Floats, now: Now, room: Room, length: float) 
     first, last = a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]
     if now.ints[MADE] == 0 and first < last:
         return LOOK
+    t = now.floats[T] + length
     for g in range(first, last):
-        if ago(a, now, room, g, now.floats[T] + length) == 0.0:
+        if ago(a, now, room, g, t) == 0.0 or near(a, run, now, room, g, t):
             return LOOK
     now.ints[FIRED] = now.ints[RINGS]
     now.ints[FLIGHTS] += 1 if length > 0.0 else 0

@@ -45,6 +45,7 @@ from .places import (
     USES_END,
     T,
 )
+from .ties import hidden_of
 from .zeros import EPS
 
 __all__ = ("at_rest", "does", "far", "own_time", "start", "starts")
@@ -68,7 +69,7 @@ POSITION_ROUNDING = 8.0
 ARMED, FIRES, RESTS, UNDECIDED, OUTSIDE, BEYOND, LEAVES, DROWNS = range(8)
 
 
-def starts(a: AutomatonArrays, now: Now, room: Room) -> int:
+def starts(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     """The first guard that fires before any flow at the start of an arc; ``NONE``; ``HARD`` if
     Python must decide; ``JOINED`` or ``WANTED`` if a contact comes to rest. Writes the orders of
     the guards."""
@@ -78,7 +79,7 @@ def starts(a: AutomatonArrays, now: Now, room: Room) -> int:
         now.zeros[g - first, MADE_OF] = -1.0
         if now.ints[ENTERED] == 0:
             c = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)]
-            now.orders[g - first], what = start_of(a, now, room, g, c)
+            now.orders[g - first], what = start_of(a, run, now, room, g, c)
             if what == RESTS:
                 return joined(a, now, room, g)
             if what == FIRES:
@@ -89,7 +90,9 @@ def starts(a: AutomatonArrays, now: Now, room: Room) -> int:
     return HARD if drowned and fires == NONE else fires
 
 
-def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) -> tuple[int, int]:
+def start_of(
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int, c: Floats
+) -> tuple[int, int]:
     """The power of the time by which a guard vanishes at the start of an arc, and what it does
     there; ``HARD`` if Python must decide."""
     kind, bounds = a.guards[guard, KIND], a.guards[guard, BOUNDS] == 1
@@ -102,6 +105,9 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
     urgent = a.guards[guard, URGENT] == 1
     outside = (bounds or urgent) and c[0] * crossing > 0.0
     beyond = before != 0 or outside  # rounding, of a guard that is large
+    if before != 0:  # it was zero, but for what steps have lost
+        value, _, hides = hidden_of(a, run, now, room, guard, t, 0.0)
+        least = max(least, 1) if abs(value) <= hides else least
     if least > 0 or beyond or not far(c[0], reach):
         size, rate, bend = sizes_of(a, room, guard, t, now.x)
         now.zeros[guard - a.fields[now.ints[FIELD], GUARDS], MADE_OF] = size

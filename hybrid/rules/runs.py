@@ -72,6 +72,7 @@ from .places import (
     REST_AFTER,
     SERIES,
     SIGHT,
+    STEPS_LOST,
     STEPS_MADE,
     STRIKES,
     SUM,
@@ -94,6 +95,7 @@ from .sums import (
 )
 from .sums import TO_LIMIT as LIMITS
 from .tails import clear, count
+from .ties import FURTHEST_APART, late_by
 from .zeros import EPS
 
 __all__ = ("go",)
@@ -163,10 +165,27 @@ def accumulated(
     if proved == 0 and not believed(a, run, flow, at, guard, tail, t, x, left, sums, look):
         return PROOF
     end, rest = after(t, low, left.sums[tail, REMAINING])
-    if (run[UNTIL] - end) - rest < 0.0:
+    if (run[UNTIL] - end) - rest < 0.0 and not fits(run, now, left, tail, t, low, x):
         now.floats[TRIED] = v if (run[LAST_TIME] - end) - rest >= 0.0 else MUCH_LATER * v
         return GOES_ON
     return rests(a, run, now, room, left, t, low, proved)
+
+
+def fits(run: Floats, now: Now, left: Left, tail: int, t: float, low: float, x: Floats) -> bool:
+    """Whether a limit beyond the end of the arc may well be at it, for what a sum and the steps
+    before may be off; its sum then ends there."""
+    row, first = left.sums[tail], tail * CURVE_ROWS
+    until = ((run[UNTIL] - t) - low) - EPS * abs(run[UNTIL])  # what is due there has not passed
+    remaining, size = row[REMAINING], so_far(now, x)
+    over, error = remaining - until, left.curves[first + ERRORS, 0]
+    share = run[RELATIVE] + (run[ABSOLUTE] / size if size > 0.0 else 0.0)
+    late = late_by(now.floats[STEPS_LOST], share, error, run[UNTIL], now.floats[TAU] + remaining)
+    if not (until > 0.0 and over <= min(late, FURTHEST_APART * remaining)):
+        return False
+    for k in range(int(row[CURVE_DEGREE]) + 1):
+        left.curves[first + k, 0] *= until / remaining
+    row[REMAINING], left.curves[first + ERRORS, 0] = until, error + over
+    return True
 
 
 def put(tail: int, degree: int, r: float, v: float, jumps: int, left: Left, sums: Sums) -> None:

@@ -1,33 +1,64 @@
 """Guards that are zero at one time: the order in which they fire (4).
 
 Events next to each other in a step are judged at the event on which it ends, in spacings of its
-time and in the rounding of each guard there. Numbers in brackets are the rules of
-``docs/semantics.md``.
+time, in the rounding of each guard there, and in what the steps of another solver have lost.
+Numbers in brackets are the rules of ``docs/semantics.md``.
 """
 
 from __future__ import annotations
 
-from .arrays import AutomatonArrays, Now, Room
+import math
+
+from .arrays import AutomatonArrays, Floats, Now, Room
 from .guards import GUARD_ROUNDING, TIE, TIED_IN_STEP, holds, row_of, sizes_of
 from .jets import afresh
+from .lengths import behind
 from .places import (
+    ABSOLUTE,
     BLUR,
+    CONTACT,
+    CROSSING,
+    EDGE,
     EVENT,
     FIELD,
     FIELD_PROGRAM,
     FLIGHTS,
     GUARDS,
     GUARDS_END,
+    KIND,
+    LOW,
     OFF,
     OWN,
+    RELATIVE,
     STEP_END,
+    STEPS_LOST,
+    SWITCH,
     TAU,
+    TOLERANCES,
+    USES,
+    USES_END,
     WHEN,
     T,
 )
+from .polynomials import power_value
 from .zeros import EPS
 
 __all__ = ("latest", "since")
+
+#: What the steps of a run have lost is at most counted as so many tolerances: the errors of stable
+#: motions do not add up, those of others are beyond all count.
+MOST_LOST = 16.0
+
+#: Events further apart than this share of the arc are no tie, whatever was lost: what is done at
+#: the first of them is then known no worse than to this share.
+FURTHEST_APART = 1e-3
+
+#: By so much what steps have lost may have grown along the way.
+GROWN = 4.0
+
+#: Steps of Newton's method from the first zero to the last of a tie, each of which squares what is
+#: left.
+GATHERINGS = 4
 
 
 def latest(a: AutomatonArrays, now: Now, room: Room, t: float) -> tuple[int, float]:
@@ -42,21 +73,48 @@ def latest(a: AutomatonArrays, now: Now, room: Room, t: float) -> tuple[int, flo
     return fired, most
 
 
-def together(a: AutomatonArrays, now: Now, room: Room, t: float) -> int:
+def together(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) -> int:
     """The guard declared first of those that are zero where a step ends. For the others, the sign
     before is noted; those whose condition fails there count as fired."""
     field, event = now.ints[FIELD], now.ints[EVENT]
     first, fires = a.fields[field, GUARDS], event
     now.ints[FLIGHTS] += 1
     for g in range(first, a.fields[field, GUARDS_END]):
-        if beside(a, now, g) and ago(a, now, room, g, t) == 0.0:
+        comes, zero = near(a, run, now, room, g, t), ago(a, now, room, g, t) == 0.0
+        if g == event or not (comes or zero):
+            continue
+        if (beside(a, now, g) and zero) or (comes and holds(a, room, g, t, now.end)):
             now.tied[a.guards[g, OWN]] = now.signs[g - first] * now.ints[FLIGHTS]
             now.tied[a.guards[event, OWN]] = now.signs[event - first] * now.ints[FLIGHTS]
             fires = min(fires, g)
-        elif g != event and ago(a, now, room, g, t) == 0.0 and not holds(a, room, g, t, now.end):
+        elif not holds(a, room, g, t, now.end):
             now.spent[a.guards[g, OWN]] = now.ints[FLIGHTS]
     now.tied[a.guards[fires, OWN]] = 0
     return fires
+
+
+def gathered(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, most: float) -> float:
+    """Go on from the zero of a guard to where all that are at one time with it are zero, or beyond
+    it; returns by how much. The time goes on by ``most`` at most."""
+    field, later, moved = now.ints[FIELD], 0.0, 0.0
+    first, last = a.fields[field, GUARDS], a.fields[field, GUARDS_END]
+    for _ in range(GATHERINGS if now.floats[STEPS_LOST] > 0.0 else 0):
+        step = 0.0
+        for g in range(first, last):
+            if g != now.ints[EVENT] and near(a, run, now, room, g, t + later):
+                value, rate, _ = hidden_of(a, run, now, room, g, t + later, 0.0)
+                if value * rate < 0.0:
+                    step = max(step, -value / rate)
+        if step <= EPS * abs(t):
+            return later
+        program = a.fields[field, FIELD_PROGRAM]
+        if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
+            return later
+        for i in range(now.end.shape[0]):
+            now.end[i] += step * room.aside[i, 1]
+        moved += step
+        later = min(moved, max(most, 0.0))
+    return later
 
 
 def remembered(a: AutomatonArrays, now: Now, fired: int) -> bool:
@@ -102,3 +160,86 @@ def since(value: float, rate: float, before: int, t: float, rounding: float) -> 
     if value * before >= 0.0:
         return -1.0
     return value / rate if rate * before < 0.0 else 0.0
+
+
+def hidden_by(lost: float, share: float, own: float, rate: float, way: float) -> float:
+    """How far from zero a guard may be that the steps of a solver show there, as they have lost
+    so much.
+
+    Parameters
+    ----------
+    lost : float
+        What they have lost, in tolerances.
+    share : float
+        What the tolerances allow, as a share of the states of which the guard is made.
+    own : float
+        The sum of the terms of which it is made.
+    rate, way : float
+        Its rate, and the time since the arc began; 0 where it begins.
+    """
+    hidden = GROWN * lost * share * max(own, abs(rate) * way)
+    return min(hidden, FURTHEST_APART * abs(rate) * way) if way > 0.0 else hidden
+
+
+def hidden_of(
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int, t: float, way: float
+) -> tuple[float, float, float]:
+    """The value and the rate of a guard at ``now.end``, and how far from zero it may be that other
+    solvers' steps show there, so long after an arc began; that is below zero where nothing is
+    known of it, or to be hidden."""
+    field, kind, size = now.ints[FIELD], a.guards[guard, KIND], 0.0
+    program = a.fields[field, FIELD_PROGRAM]
+    row = row_of(a, program, field, guard)
+    if now.floats[STEPS_LOST] == 0.0 or kind not in (EDGE, CONTACT, SWITCH):
+        return 0.0, 0.0, -1.0
+    if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
+        return 0.0, 0.0, -1.0
+    value, rate = room.aside[row, 0], room.aside[row, 1]
+    for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
+        i = a.uses[k]
+        size = max(size, max(now.seen[i], abs(now.end[i])), abs(room.aside[i, 1]) * way)
+    here, _, _ = sizes_of(a, room, guard, t, now.end)
+    far, _, _ = sizes_of(a, room, guard, t, now.seen)
+    own = max(here, far) if far < math.inf else here
+    if size == 0.0 or not own < math.inf:
+        return value, rate, -1.0
+    share = run[RELATIVE] + run[ABSOLUTE] / size
+    return value, rate, hidden_by(now.floats[STEPS_LOST], share, own, rate, way)
+
+
+def late_by(lost: float, share: float, error: float, t: float, way: float) -> float:
+    """By how much the limit of a sum may come too late: by rounding, the ``error`` of the sum, and
+    what the steps of a solver have lost on a ``way`` to it, as a share of that."""
+    return error + GUARD_ROUNDING * EPS * abs(t) + GROWN * lost * share * way
+
+
+def near(a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int, t: float) -> bool:
+    """Whether a guard is about to fire at ``now.end``, or just has, and what another solver's
+    steps have lost may hide that it does so there."""
+    if now.floats[STEPS_LOST] == 0.0:
+        return False
+    before = now.signs[guard - a.fields[now.ints[FIELD], GUARDS]]
+    way = (t - now.floats[T]) - now.floats[LOW]
+    value, rate, hides = hidden_of(a, run, now, room, guard, t, way)
+    fires = rate * before < 0.0 and rate * a.guards[guard, CROSSING] >= 0.0
+    return fires and abs(value) <= hides
+
+
+def loses(run: Floats, now: Now, room: Room, h: float) -> float:
+    """What another solver's step has lost, in tolerances: how far its end is from that of series
+    of the flow, which ``room.c`` has; where these have not converged, one."""
+    most, order = 0.0, room.c.shape[1] - 1
+    for i in range(now.x.shape[0]):
+        allowed = run[TOLERANCES + i] + run[RELATIVE] * abs(now.end[i])
+        if not behind(room.c[i], h) <= allowed:
+            return 1.0
+        value, _ = power_value(room.c[i], 0, order, h)
+        if value != now.end[i]:
+            most = max(most, abs(value - now.end[i]) / allowed if allowed > 0.0 else 1.0)
+    return most
+
+
+def lose(run: Floats, now: Now, room: Room, h: float, known: bool) -> None:
+    """Add what a step of another solver has lost. ``known``: there are series of the flow."""
+    own = loses(run, now, room, h) if known else 1.0
+    now.floats[STEPS_LOST] = min(now.floats[STEPS_LOST] + own, MOST_LOST)

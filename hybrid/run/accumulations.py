@@ -46,8 +46,14 @@ def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name:
         return False
     watch.tried = v
     tail, until = summed(driver, contact, x, v, field), driver.until(driver.horizon, field, x)
-    if tail is None or driver.record.now.after(tail.remaining).until(until) < 0:
+    if tail is None:
         return False
+    over = -driver.record.now.after(tail.remaining).until(until)
+    if over > 0:
+        way = driver.t - driver.plan.t0 + tail.remaining
+        if over > driver.losses.late(tail.t_error, until, tail.remaining, way):
+            return False
+        tail = tail.within(driver.record.now.until(float(np.nextafter(until, -np.inf))))
     memory = driver.record.memory
     if memory is not None and not memory.stays(TailPart(tail, driver.record.j)):
         return False

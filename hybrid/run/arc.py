@@ -28,6 +28,7 @@ from ..trajectory.plan import Plan
 from ..zeno.flight import falls
 from .entry import MOVES, Entry, describe, expand, heading, opened, side_before
 from .kinked import begin
+from .losses import MAY_HIDE, Losses
 from .pace import Pace
 
 if TYPE_CHECKING:
@@ -103,8 +104,10 @@ class ArcFlow:
         entry: Entry,
         now: Instant,
         until: float | None = None,
+        losses: Losses | None = None,
     ) -> None:
         self.scene, self.solver, self.plan, self.now = scene, solver, plan, now
+        self.losses = Losses(plan, solver.whole, entry.x) if losses is None else losses
         self.until = plan.t1 if until is None else until
         self.field, self.x, self.series = entry.field, entry.x, entry.series
         self.signs = entry.signs
@@ -170,6 +173,7 @@ class ArcFlow:
             limit = min(limit, start + self.plan.longest(start))
             self._step(stepper, limit)
             segment = stepper.segment()
+            self._lose(start, x, stepper)
             try:
                 found = self._events(segment, stepper, scales, target)
             except FlowError as fault:
@@ -181,6 +185,11 @@ class ArcFlow:
             segments.append(segment)
             self.orders = [0] * len(self.orders)
         return fired
+
+    def _lose(self, start: float, x: StateVector, stepper: Stepper) -> None:
+        """Note what a step has lost that began at ``x``."""
+        if not self.losses.exact and self.field.guards:
+            self.losses.note(self.field, self.now.t, start, x, stepper)
 
     def _ended(
         self, found: list[Fired], stepper: Stepper, segment: Segment, x: StateVector
@@ -198,6 +207,8 @@ class ArcFlow:
             if landed is None:
                 stepper.tau, stepper.x = segment.start, x
                 break
+            if not stepper.repeats:
+                self._lose(segment.start, x, stepper)
             stepper.tau = landed.end
             ago, other = max(
                 ((self._ago(each, first, stepper, length), each) for each in found),
@@ -208,11 +219,29 @@ class ArcFlow:
             first = attrs.evolve(other, tau=stepper.tau - ago)
         others = (each for each in found if each.index != first.index)
         tied = [each for each in others if self._ago(each, first, stepper, length) >= 0.0]
-        guards, tied = self.field.guards, [first, *tied]
+        near = self._gather(first.index, stepper)
+        guards, known = self.field.guards, {first.index, *(each.index for each in tied)}
+        more = [Fired(i, stepper.tau, d) for i, d in near.items() if i not in known]
+        tied = [first, *tied, *more]
         self.tied = {guards[each.index].edge: -each.direction for each in tied}
-        self.over = self._passed(stepper)
+        self.over |= self._passed(stepper)
         fired = min(tied, key=lambda each: each.index)  # the one declared first (4)
         return fired, [] if landed is None else [landed]
+
+    def _gather(self, first: int, stepper: Stepper) -> dict[int, int]:
+        """Go on from the zero of a guard to where all that are at one time with it, but for what
+        the steps have lost, are beyond zero; returns those whose condition holds, and notes the
+        others."""
+        losses, field, t, x = self.losses, self.field, self.now.t + stepper.tau, stepper.x
+        near = losses.near(self.scene, field, t, x, stepper.tau)
+        if field.guards[first].kind not in MAY_HIDE or not near.keys() - {first}:
+            return {}
+        later, there = losses.beyond(field, near, t, x)
+        length = self.now.until(self.until)
+        stepper.tau, stepper.x = min(stepper.tau + later, length), there
+        holds = {i: field.guards[i].holds(t, x.tolist()) for i in near if i != first}
+        self.over |= {field.guards[i].edge for i, held in holds.items() if not held}
+        return {i: near[i] for i, held in holds.items() if held}
 
     def _passed(self, stepper: Stepper) -> frozenset[str]:
         """Edges whose guards are zero where a step ends and whose condition fails there."""

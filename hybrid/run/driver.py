@@ -31,6 +31,7 @@ from .arc import ArcFlow, Flown
 from .cycles import Cycles
 from .entry import STARTS_OFF, Entry, Jumped, describe, enter, extent, signs_at_end
 from .knots import pass_knot
+from .losses import Losses
 from .machine import Machine
 from .pace import Pace
 from .recorder import Recorder
@@ -71,6 +72,7 @@ class Driver:
         self.watch = Watch()
         self.cycles = Cycles(scene.code.beside)
         self.seen = np.zeros(scene.spec.dimension)
+        self.losses = Losses(plan, solver.whole, self.seen)
         self.steps = 0
         self.jumped = Jumped()
         self.tied: dict[str, int] = {}
@@ -173,6 +175,7 @@ class Driver:
 
     def _entered(self, mode: str, x: StateVector, jumped: Jumped, seen: StateVector) -> Entry:
         jumped.tied, jumped.touched, jumped.spent = self.tied, self.touched, self.spent
+        jumped.close = self._close(self.scene.field(self.scene.name(mode, jumped.held)), x)
         try:
             return enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
         except StartError as fault:
@@ -185,6 +188,17 @@ class Driver:
                 f"sooner, and each time a reset has changed {names}, which has no limit: leave "
                 "that out of the resets (run.jumps has what there is to count)"
             ) from None
+
+    def _close(self, field: Field, x: StateVector) -> frozenset[str]:
+        """Edges whose guards were zero with the one that has fired, and still are, but for what
+        the solver's steps have lost."""
+        hide, t, found = self.losses.hide, self.t, []
+        for guard in field.guards if self.losses.tolerances else ():
+            if guard.edge in self.tied:
+                hides = hide(self.scene, field, guard, t, x, 0.0)
+                if abs(guard.value(t, x.tolist())) <= hides:
+                    found.append(guard.edge)
+        return frozenset(found)
 
     def _off(self, x: StateVector) -> StateVector:
         """The error that the tolerances allow in each component of the state."""
@@ -308,7 +322,9 @@ class Driver:
         """Flow an arc step by step and carry out the jump that ends it."""
         entry, now, memory = self.entry, self.record.now, self.record.memory
         (_, due), until = clocks.due(self, entry.field, entry.x), self.horizon
-        flown = ArcFlow(self.scene, self.flies, self.plan, entry, now, min(due, until)).run()
+        self.losses.seen, last = self.seen, min(due, until)
+        arc = ArcFlow(self.scene, self.flies, self.plan, entry, now, last, self.losses)
+        flown = arc.run()
         self.steps += flown.steps
         if memory is not None:
             flown = attrs.evolve(flown, segments=memory.refined(entry.field, now, flown.segments))
@@ -325,6 +341,7 @@ class Driver:
         at_clock = due <= until and not flown.interrupted
         clock, tied = None, False
         if at_clock:
+            flown = self._gather(flown, due)
             clock, fired, tied = clocks.rings(self, due, fired, flown)
         by = at_clock and clock is None and fired is None and due < self.plan.t1
         if by or (clock is None and self._passes(fired, flown)):
@@ -350,6 +367,16 @@ class Driver:
         else:
             self.record.now = Instant(due) if tied else self.record.now
             self.jump(fired, x, flown.carried)
+
+    def _gather(self, flown: Flown, due: float) -> Flown:
+        """An arc that ends where a clock rings, with all guards that are zero there, but for what
+        the steps have lost, at zero or beyond it."""
+        field, edges = self.entry.field, self.entry.field.guards
+        if flown.fired is not None:
+            return flown
+        near = self.losses.near(self.scene, field, due, flown.x, flown.length)
+        _, x = self.losses.beyond(field, near, due, flown.x, 0.0)
+        return attrs.evolve(flown, x=x, tied={edges[i].edge: -way for i, way in near.items()})
 
     def _passes(self, fired: Guard | None, flown: Flown) -> bool:
         """Whether an arc has only reached the end of a window of the past, and goes on."""

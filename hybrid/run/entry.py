@@ -96,6 +96,8 @@ class Jumped:
         :func:`signs_at_end`.
     tied : dict
         By edge, the sign before the jump of a guard that was zero at its time, too, and fires.
+    close : frozenset of str
+        Those of them whose guards are still zero, but for what a solver's steps have lost.
     touched : dict
         The same of those of edges and switchings that do not fire there: to leave zero again to
         that side is no crossing.
@@ -117,6 +119,7 @@ class Jumped:
     starting: bool = False
     passing: dict[str, int] | None = None
     tied: dict[str, int] = attrs.Factory(dict)
+    close: frozenset[str] = frozenset()
     touched: dict[str, int] = attrs.Factory(dict)
     spent: frozenset[str] = frozenset()
     limit: frozenset[str] = frozenset()
@@ -353,13 +356,18 @@ def describe(scene: Scene, field: Field, t: float, x: StateVector) -> str:
 
 def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
     """Whether a guard that moves in its firing direction is zero at a time, and its condition
-    holds. Zero is meant to spacings of the time and to the rounding of the guard."""
+    holds. Zero is meant to spacings of the time, to the rounding of the guard, and to what the
+    steps have lost."""
     value, rate, bend = guard.lie(end.t, x.tolist())
     size = driver.scene.rounding(guard, driver.entry.field)(end.t, x.tolist())[0]
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
     moves = rate * (DIRECTIONS[guard.crossing] or rate) > 0
     moves = moves and guard.holds(end.t, x.tolist())
     moves = moves and not (guard.kind in ("edge", "switch") and turns_within(rate, bend, noise))
+    way = end.t - (driver.plan.t0 if driver.end is None else driver.end[0])
+    if way > 0.0:
+        lost = driver.losses.hide(driver.scene, driver.entry.field, guard, end.t, x, way)
+        noise = max(noise, lost)
     return bool(moves and abs(value) + abs(rate * end.until(t)) <= noise)
 
 
@@ -481,6 +489,7 @@ class _Here:
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
         if guard.kind == "contact" and -self.lost(guard) <= value <= 0:
             least = max(least, 1)
+        least = max(least, 1) if guard.edge in jumped.close else least
         beyond = (guard.bounds or guard.urgent) and value * DIRECTIONS[guard.crossing] > 0
         known = least or beyond or guard.edge in jumped.tied
         far = not known and unit("entries").far(value, max(self.reach, float(np.abs(x).max())))

@@ -141,9 +141,16 @@ def pass_limit(driver: Driver, mode: str) -> bool:
         return True
     sought = _sought(cycles, plan)
     known = driver.until(driver.known, driver.scene.field(mode), cycles.seen.x[-1])
-    if sought is None or driver.record.now.after(sought[0].remaining).until(known) < 0:
+    if sought is None:
         return False
     found, turn = sought
+    over = -driver.record.now.after(found.remaining).until(known)
+    if over > 0:
+        way = driver.t - plan.t0 + found.remaining
+        if over > driver.losses.late(found.t_error, known, found.remaining, way):
+            return False
+        soon = driver.record.now.until(float(np.nextafter(known, -np.inf)))
+        found = attrs.evolve(found, remaining=soon, t_error=found.t_error + over)
     if driver.scene.conditional.intersection(found.edges):  # which may fail before the limit
         return False
     if not _tire(driver, found):

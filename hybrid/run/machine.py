@@ -67,6 +67,7 @@ from ..rules.places import (
     SHOW,
     STEP,
     STEP_END,
+    STEPS_LOST,
     STEPS_MADE,
     STRIKES,
     TAILS,
@@ -184,6 +185,7 @@ class Machine:
             left = self._left()
             self._watch(driver.wary)
             status = self._advance(left)
+            driver.losses.tolerances = float(self.floats[STEPS_LOST])
             self._expanded()
             self._keep(left)
             ended = driver.status is not None or self.passed
@@ -446,7 +448,7 @@ class Machine:
         ints[LAST_USED] = own.get(edge, AT_START if jumped.starting else NONE)
         ints[GUARD_POWER], ints[LASTED] = power, jumped.series
         ints[SERIES], ints[IMPACT_COUNT] = own.get(contact, -1), driver.watch.count
-        floats[TRIED] = driver.watch.tried
+        floats[TRIED], floats[STEPS_LOST] = driver.watch.tried, driver.losses.tolerances
         ints[LOW_AHEAD] = ints[WAS_LOW] = 0
         x, _, seen = self.now[2:5]
         x[:], seen[:], ints[FLIGHTS] = entry.x, driver.seen, 1

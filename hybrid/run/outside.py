@@ -20,6 +20,7 @@ from ..rules.places import (
     LOW,
     MADE,
     STEP_END,
+    STEPS_LOST,
     STEPS_MADE,
     TAU,
     TO_TAU,
@@ -64,10 +65,18 @@ class Outside:
 
     def land(self, now: Now, room: Room, left: Left) -> None:
         """End the last step at the zero of a guard."""
+        stepper = self.stepper
+        known = None if stepper.repeats else stepper.powers()
         try:
-            self.stepper.arrive(float(now.floats[TO_TAU]))
+            stepper.arrive(float(now.floats[TO_TAU]))
         except (FlowError, ValueError) as fault:
             raise self._told(now, fault) from None
+        if known is not None:
+            start, _, powers = known
+            losses = self.driver.losses
+            losses.tolerances = float(now.floats[STEPS_LOST])
+            losses.note(self.field, self.since.t, start, powers[:, 0], stepper)
+            now.floats[STEPS_LOST] = losses.tolerances
         self._ends(now, left)
         now.floats[TO_TAU] = self.stepper.tau
 

@@ -251,8 +251,11 @@ class Walk:
                 group = []
             if isinstance(part, Arc):
                 yield from self.arc(index, part)
-            else:
-                yield Chatter(index, part) if self.course.sight else self.limit(index, part)
+            elif self.course.sight:
+                yield Chatter(index, part)
+            else:  # what its matrix leaves of gap and gap speed is the error of that
+                yield self.limit(index, part)
+                yield from () if last else self.onto(index + 1)
             if index in jumps:
                 group.append((index, jumps[index]))
             elif not last and isinstance(part, Arc):
