@@ -235,6 +235,31 @@ def test_cost_grows_with_time_and_not_faster():
 # histories
 
 
+class Swinging(hy.Automaton):
+    """A ball on a spring that is held back by what it did, with a lag that swings."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.discrete(0)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s, past):
+        held = 0.98 * past(0.51 * (1.0 + 0.3 * jnp.sin(t))).x - 0.18 * past(0.37).v
+        return s.v, 1.42 * jnp.cos(1.94 * t) - 1.68 * s.x - 0.48 * s.v - 0.29 + held
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x + 0.4, restitution=0.7)
+
+    @hy.edge(flight, guard=lambda self, t, s, past: past(0.25).x - 0.023, crossing=hy.EITHER)
+    def mark(self, t, s):
+        return s.replace(v=0.8 * s.v, n=s.n + 1)
+
+
+def test_there_is_room_for_every_breaking_point():
+    """More than a record has at first room for, many of which the driver adds; nothing forgets
+    them, as a lag moves."""
+    agree(Swinging(), {"x": 0.08, "v": -0.19}, 10.0, 1e-7)
+
+
 def test_a_jump_in_a_history_is_found():
     """3 before -0.37, then 1: y' = -3 for 0.63, then -1."""
     history = {"y": lambda t: 1.0 if t > -0.37 else 3.0}

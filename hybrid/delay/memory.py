@@ -512,6 +512,7 @@ class Memory:
             self._reach[key] = reach([field])
         uses, asks = self._reach[key]
         self._looks(t, x)
+        self.breaks.reserve()
         past = self.past()._replace(uses=uses, asks=asks)
         ends = window_ends(self.scene.spec)
         unit("past").ended(t, 0, ends.index(fired) if fired else -1, past)

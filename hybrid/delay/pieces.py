@@ -264,10 +264,14 @@ class Breaks:
         if place and t <= self._times[place - 1] + slack_of(t):
             self._orders[place - 1] = np.minimum(self._orders[place - 1], orders)
             return
-        if place == len(self._times):
-            self.grow()
+        self.reserve()
         self._times[place], self._orders[place] = t, orders
         self.ints[BREAKS] += 1
+
+    def reserve(self) -> None:
+        """Have room for one more."""
+        if self.ints[BREAKS] == len(self._times):
+            self.grow()
 
     def grow(self) -> None:
         """Double the capacity."""
