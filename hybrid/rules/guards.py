@@ -94,7 +94,21 @@ def first_event(
             fired, best = g, s
         curved = a.guards[g, AFFINE] == 0 and 0.0 < s < math.inf
         zero[WHEN], zero[BLUR] = s, blurred(c, s) if curved else 0.0
+    if fired >= 0 and best > 0.0:
+        signed(a, now, room, best)
     return fired, best
+
+
+def signed(a: AutomatonArrays, now: Now, room: Room, s: float) -> None:
+    """Put down the signs that guards which do not fire in a step have just before an event in it:
+    beyond the event they may pass zero in the direction in which they do not fire."""
+    field, before = now.ints[FIELD], (1.0 - TIED_IN_STEP) * s
+    first = a.fields[field, GUARDS]
+    for g in range(first, a.fields[field, GUARDS_END]):
+        if now.zeros[g - first, WHEN] == math.inf:
+            c = room.c[row_of(a, series_of(a, now), field, g)]
+            value, _ = power_value(c, 0, c.shape[0] - 1, before)
+            now.signs[g - first] = 1 if value > 0.0 else -1
 
 
 def zero_of(

@@ -525,3 +525,40 @@ def test_a_history_is_asked_only_where_the_model_looks(solver):
 def test_a_lag_may_be_zero_on_the_way(solver):
     """At 1, where what is seen is the state itself."""
     assert vanished(solver, 0.5, 3.0) <= 1e-6
+
+
+class Swinging(hy.Automaton):
+    """A pendulum that is pushed by what it did, with a lag that its swing makes longer."""
+
+    x = hy.state()
+    v = hy.state()
+    up = hy.discrete(0)
+    down = hy.discrete(0)
+    level: float = hy.parameter(0.0)
+    gain: float = hy.parameter(0.5)
+
+    @hy.mode
+    def swings(self, t, s, past):
+        pushed = self.gain * past(0.7 + 0.2 * s.x**2).x
+        return s.v, 1.3 * jnp.cos(1.7 * t) - 2.0 * s.x - 0.4 * s.v + pushed
+
+    @hy.edge(swings, guard=lambda self, t, s: s.x - self.level, crossing=hy.RISING)
+    def upwards(self, t, s):
+        return s.replace(up=s.up + 1)
+
+    @hy.edge(swings, guard=lambda self, t, s: s.x - self.level)
+    def downwards(self, t, s):
+        return s.replace(down=s.down + 1)
+
+
+@pytest.mark.parametrize("way", ["DOP853", "Radau", "taylor", "Tsit5"], indirect=True)
+@pytest.mark.parametrize("gain", [0.5, -0.5, 0.9])
+@pytest.mark.parametrize("level", [-0.15, 0.0, 0.2])
+def test_a_mark_counts_in_its_direction_alone_where_windows_end(way, gain, level):
+    """A guard that is still to pass zero has its sign where a window ends, or another fires: each
+    edge counts as often as the dense output passes its mark."""
+    start, end = {"x": 0.3, "v": 0.2}, 8.0
+    run = way.run(Swinging(level=level, gain=gain), start, (0.0, end), rtol=1e-8, atol=1e-10).run
+    passed = np.diff(np.sign(run(np.linspace(0.0, end, 20_001)).x - level))
+    assert run.final.up == np.count_nonzero(passed > 0)
+    assert run.final.down == np.count_nonzero(passed < 0)
