@@ -87,6 +87,25 @@ def test_of_what_is_at_one_time_the_first_declared_fires(order, by, method, rtol
     assert run.final.v == pytest.approx(exact.final.v, abs=allowed * rate)
 
 
+@pytest.mark.parametrize(
+    ("order", "edges"),
+    [
+        ("wkc", ["wall", "tick", "turn"]),
+        ("kcw", ["tick", "turn", "wall"]),
+        ("ykcw", ["cross", "tick", "turn", "wall"]),
+    ],
+)
+@pytest.mark.parametrize(("size", "rate"), [(1.0, 1.0), (1e-5, 1.0), (1e6, 1e5), (1e-6, 1e-4)])
+def test_the_order_does_not_depend_on_units(order, edges, size, rate):
+    """A state that is zero has the rounding of what it was: a wall, a clock, a guard on a state
+    that counts the time, and on another motion, at each half turn, of which that one has three."""
+    model = swings(order)(rate=rate, half=math.pi / rate)
+    start = {"x": 0.0, "v": size * rate, "c": 0.0, "n": 0.0, "y": 0.0, "w": size * rate}
+    run = hy.simulate(model, start, (0.0, 10.0 / rate), solver="taylor")
+    turn = ["cross", "cross", *edges] if "cross" in edges else edges
+    assert list(run.jumps.edge) == 3 * turn
+
+
 @pytest.mark.parametrize(("by", "method", "rtol"), METHODS)
 @pytest.mark.parametrize("apart", [1e-2, -1e-2])
 def test_what_is_no_tie_fires_in_order(by, method, rtol, apart):

@@ -145,8 +145,16 @@ def ago(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float) -> float
         return -1.0
     row, before = row_of(a, program, field, guard), now.signs[place]
     value, rate = room.aside[row, 0], room.aside[row, 1]
-    size, _, _ = sizes_of(a, room, guard, t, now.end)
+    size = size_so_far(a, now, room, guard, t)
     return since(value, rate, before, t, GUARD_ROUNDING * EPS * size + 2.0 * now.zeros[place, OFF])
+
+
+def size_so_far(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float) -> float:
+    """The sum of the terms of which a guard is made at ``now.end``, or has been: a state that is
+    zero there has the rounding of what it was."""
+    here, _, _ = sizes_of(a, room, guard, t, now.end)
+    far, _, _ = sizes_of(a, room, guard, t, now.seen)
+    return max(here, far) if far < math.inf else here
 
 
 def since(value: float, rate: float, before: int, t: float, rounding: float) -> float:
@@ -198,9 +206,7 @@ def hidden_of(
     for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
         i = a.uses[k]
         size = max(size, max(now.seen[i], abs(now.end[i])), abs(room.aside[i, 1]) * way)
-    here, _, _ = sizes_of(a, room, guard, t, now.end)
-    far, _, _ = sizes_of(a, room, guard, t, now.seen)
-    own = max(here, far) if far < math.inf else here
+    own = size_so_far(a, now, room, guard, t)
     if size == 0.0 or not own < math.inf:
         return value, rate, -1.0
     share = run[RELATIVE] + run[ABSOLUTE] / size

@@ -104,12 +104,10 @@ def rings(
     declared first (4). Then whether that time is the clock's."""
     end, field = driver.record.now.after(flown.length), driver.entry.field
     clock = first(driver, t, field.along(t, flown.x))
-    if fired is not None:
-        tied = is_zero(driver, fired, end, flown.x, t)
-        last = clock is None or _precedes(driver, fired, clock)
-        return (None, fired, tied) if last or not tied else (clock, None, True)
-    for guard in field.guards:
-        precedes = clock is None or _precedes(driver, guard, clock)
-        if precedes and is_zero(driver, guard, end, flown.x, t):
-            return None, guard, True
+    if fired is not None and not is_zero(driver, fired, end, flown.x, t):
+        return None, fired, False
+    there = (g for g in field.guards if g is fired or is_zero(driver, g, end, flown.x, t))
+    guard = next(there, None)
+    if clock is None or (guard is not None and _precedes(driver, guard, clock)):
+        return None, guard, True
     return clock, None, True

@@ -359,7 +359,7 @@ def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float
     holds. Zero is meant to spacings of the time, to the rounding of the guard, and to what the
     steps have lost."""
     value, rate, bend = guard.lie(end.t, x.tolist())
-    size = driver.scene.rounding(guard, driver.entry.field)(end.t, x.tolist())[0]
+    size, _, _ = extent(driver.scene, guard, driver.entry.field, end.t, x, driver.seen)
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
     moves = rate * (DIRECTIONS[guard.crossing] or rate) > 0
     moves = moves and guard.holds(end.t, x.tolist())
