@@ -235,7 +235,7 @@ def test_cost_grows_with_time_and_not_faster():
 # histories
 
 
-class Swinging(hy.Automaton):
+class Bouncing(hy.Automaton):
     """A ball on a spring that is held back by what it did, with a lag that swings."""
 
     x = hy.state()
@@ -257,7 +257,7 @@ class Swinging(hy.Automaton):
 def test_there_is_room_for_every_breaking_point():
     """More than a record has at first room for, many of which the driver adds; nothing forgets
     them, as a lag moves."""
-    agree(Swinging(), {"x": 0.08, "v": -0.19}, 10.0, 1e-7)
+    agree(Bouncing(), {"x": 0.08, "v": -0.19}, 10.0, 1e-7)
 
 
 def test_a_jump_in_a_history_is_found():
