@@ -27,9 +27,10 @@ def work_for(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
     """Arrays for one run to work in."""
     *needs, bounds = tables.needs
     stretches, shown = np.zeros((TAIL_HALVINGS + 2, 5)), np.zeros((STRETCH_POINTS + 2, n + 4))
-    pairs = [np.zeros((k, 2)) for k in (STATE_ROWS + n, bounds, OTHER_GUARDS, OTHER_GUARDS)]
-    points = [np.zeros((k, STRETCH_POINTS)) for k in (STATE_ROWS + n, bounds)]
-    look = Look(*(stretches, shown), *pairs, *points, laws=np.zeros((2 * LAW_POINTS + 2, 2)))
+    rows = STATE_ROWS + n
+    shapes = [(k, 2) for k in (rows, bounds, OTHER_GUARDS, OTHER_GUARDS)]
+    shapes += [(rows, STRETCH_POINTS), (bounds, STRETCH_POINTS), (2 * LAW_POINTS + 2, 2)]
+    look = Look(stretches, shown, *map(np.zeros, shapes))
     own = tables.room(order)
     short = own._replace(c=np.empty((len(own.c), short_order(order) + 1)))
     return own, room_for_sums(needs, n)._replace(short=short), look
