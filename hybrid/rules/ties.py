@@ -221,14 +221,22 @@ def late_by(lost: float, share: float, error: float, t: float, way: float) -> fl
 
 def near(a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int, t: float) -> bool:
     """Whether a guard is about to fire at ``now.end``, or just has, and what another solver's
-    steps have lost may hide that it does so there."""
+    steps have lost may hide that it does so there; one that turns back within that only touches
+    (1)."""
     if now.floats[STEPS_LOST] == 0.0:
         return False
-    before = now.signs[guard - a.fields[now.ints[FIELD], GUARDS]]
+    field = now.ints[FIELD]
+    before = now.signs[guard - a.fields[field, GUARDS]]
     way = (t - now.floats[T]) - now.floats[LOW]
     value, rate, hides = hidden_of(a, run, now, room, guard, t, way)
     fires = rate * before < 0.0 and rate * a.guards[guard, CROSSING] >= 0.0
-    return fires and abs(value) <= hides
+    if not (fires and abs(value) <= hides):
+        return False
+    program = a.fields[field, FIELD_PROGRAM]
+    if a.guards[guard, KIND] == CONTACT:
+        return True
+    fit = afresh(a.programs, program, 2, t, now.end, room.still, room.aside, room.work) == 0
+    return fit and rate * rate > 4.0 * abs(room.aside[row_of(a, program, field, guard), 2]) * hides
 
 
 def loses(run: Floats, now: Now, room: Room, h: float) -> float:

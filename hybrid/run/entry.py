@@ -363,11 +363,11 @@ def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
     moves = rate * (DIRECTIONS[guard.crossing] or rate) > 0
     moves = moves and guard.holds(end.t, x.tolist())
-    moves = moves and not (guard.kind in ("edge", "switch") and turns_within(rate, bend, noise))
     way = end.t - (driver.plan.t0 if driver.end is None else driver.end[0])
     if way > 0.0:
         lost = driver.losses.hide(driver.scene, driver.entry.field, guard, end.t, x, way)
         noise = max(noise, lost)
+    moves = moves and not (guard.kind in ("edge", "switch") and turns_within(rate, bend, noise))
     return bool(moves and abs(value) + abs(rate * end.until(t)) <= noise)
 
 

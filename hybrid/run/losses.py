@@ -13,7 +13,7 @@ from ..rules.lengths import behind
 from ..rules.ties import FURTHEST_APART, GATHERINGS, MOST_LOST, hidden_by, late_by
 from ..solvers import Stepper
 from ..trajectory.plan import Plan
-from .entry import expand
+from .entry import expand, turns_within
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -85,9 +85,10 @@ class Losses:
         hide that they do so there, with their directions (:func:`hybrid.rules.ties.near`)."""
         found = {}
         for index, guard in enumerate(field.guards if self.tolerances and way > 0.0 else ()):
-            value, rate, _ = guard.lie(t, x.tolist())
+            value, rate, bend = guard.lie(t, x.tolist())
             hides = self.hide(scene, field, guard, t, x, way)
-            if abs(value) <= hides and fires(guard.crossing, int(np.sign(rate))):
+            touches = guard.kind != "contact" and turns_within(rate, bend, hides)
+            if abs(value) <= hides and fires(guard.crossing, int(np.sign(rate))) and not touches:
                 found[index] = int(np.sign(rate))
         return found
 
