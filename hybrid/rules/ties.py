@@ -80,8 +80,10 @@ def together(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) ->
     first, fires = a.fields[field, GUARDS], event
     now.ints[FLIGHTS] += 1
     for g in range(first, a.fields[field, GUARDS_END]):
+        if g == event:
+            continue
         comes, zero = near(a, run, now, room, g, t), ago(a, now, room, g, t) == 0.0
-        if g == event or not (comes or zero):
+        if not (comes or zero):
             continue
         if (beside(a, now, g) and zero) or (comes and holds(a, room, g, t, now.end)):
             now.tied[a.guards[g, OWN]] = now.signs[g - first] * now.ints[FLIGHTS]
