@@ -531,11 +531,7 @@ class ArcFlow:
             x = np.array(self.field.project(self.now.t + before, x.tolist()))
         after, there = self.now.t + zero.tau, segment(zero.tau)
         beyond = _outside(guard, guard.value(after, there.tolist()))
-        noise = (
-            GUARD_ROUNDING
-            * EPS
-            * float(self.scene.rounding(guard, self.field)(after, x.tolist())[0])
-        )
+        noise = GUARD_ROUNDING * EPS * self._terms(guard, zero.tau, x)
         if abs(beyond) <= noise:
             _, sign = heading(self.scene, after, self.field.name, there, guard.edge, np.zeros(0))
             beyond = noise + _outside(guard, sign)
@@ -683,10 +679,8 @@ class ArcFlow:
         left, unit = self.plan.limit + rtol * size, size
         for before in (segment.start, 0.5 * (segment.start + tau)):
             there = segment(before)
-            unit, own = (
-                max(unit, self._size(guard, there)),
-                max(own, self._terms(guard, before, there)),
-            )
+            unit = max(unit, self._size(guard, there))
+            own = max(own, self._terms(guard, before, there))
         return in_unit(left, 0.0 if guard.kind == "release" else unit, own, rtol)
 
     def _terms(self, guard: Guard, tau: float, x: StateVector) -> float:
@@ -719,9 +713,8 @@ class ArcFlow:
                 segment = stepper.land(tau)
             for _ in range(LANDINGS):
                 t = self.now.t + stepper.tau
-                value, shift, exact = self._missing(
-                    fired, t, self.field.along(t, stepper.x).tolist()
-                )
+                x = self.field.along(t, stepper.x)
+                value, shift, exact = self._missing(fired, t, x.tolist())
                 if abs(shift) <= small or exact:
                     break
                 if smooth and not value < nearest[0]:  # it is flat: rounding leads away
