@@ -101,7 +101,7 @@ def test_a_lane_says_what_it_has_forgotten():
 
 def test_derivatives_by_the_lag(wide):
     """Forward and reverse, through breaking points: the closed form to rounding."""
-    run = hy.as_function(Decay(), t=(0.0, 3.3), max_jumps=1, max_steps=64, **TIGHT)
+    run = hy.as_function(Decay(), t=(0.0, 3.3), max_jumps=1, max_steps=64, segments=32, **TIGHT)
 
     def end(tau):
         return run(Decay(tau=tau), {"y": 1.0}).final["y"]
@@ -120,6 +120,7 @@ def test_derivatives_through_impacts(wide):
         t=span,
         max_jumps=8,
         max_steps=200,
+        segments=64,
         outputs=("jumps",),
         **TIGHT,
     )

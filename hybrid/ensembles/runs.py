@@ -75,6 +75,7 @@ def ensemble(
     history: Any = None,
     memory: str = "keep",
     certify: bool = False,
+    segments: int = 256,
     measure: Any = (),
     section: Any = None,
     crossing: Crossing = RISING,
@@ -119,6 +120,8 @@ def ensemble(
     certify : bool
         Whether to compute the verdict on the first accumulation of each lane, and the bound on its
         time, as for a run: by proofs and further runs, at some ten milliseconds for each lane.
+    segments : int
+        Has no effect: a lane remembers its whole past.
     measure : sequence of str and callable
         Further columns. The name of an output: its value at the end of each lane and wherever
         states are kept. ``"stick"``: the fraction of time at rest on contacts or sliding.

@@ -122,6 +122,7 @@ def as_function(
     outputs: tuple[str, ...] = OUTPUTS,
     history: Any = None,
     memory: str = "keep",
+    segments: int | None = None,
 ) -> Callable[[Any, Any], Outcome]:
     """A run as a pure function of (model, start), for ``jit``, ``vmap``, ``grad`` and ``scan``.
 
@@ -151,6 +152,8 @@ def as_function(
     history, memory
         For delays, as for :func:`hybrid.simulate`. Derivatives hold a given history fixed; states
         that it leaves out were constant as at the start, and vary with the start.
+    segments
+        Has no effect: the whole past is remembered.
 
     Returns
     -------

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 #: Options of a sweep that an ensemble does not take; and of an ensemble that a run does not.
 OF_GRID = ("executor", "store", "block", "progress", "measure")
-OF_LANES = ("max_steps", "section", "crossing", "skip", "every", "keep", "save")
+OF_LANES = ("max_steps", "segments", "section", "crossing", "skip", "every", "keep", "save")
 
 #: Points of an attractor that are looked for when it is found, as often as those of a lane.
 MORE_POINTS = 10
