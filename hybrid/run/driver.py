@@ -98,6 +98,11 @@ class Driver:
             return jump.t, jump.after, self.mode
         return None if last is None else (last.t1, last.last, last.mode)
 
+    @property
+    def since(self) -> float:
+        """The time up to which the run is recorded; at first its start."""
+        return self.plan.t0 if self.end is None else self.end[0]
+
     def run(self, mode: str, x: StateVector, came: Callable[[], Jumped] | None = None) -> None:
         """Run from the start to the end.
 

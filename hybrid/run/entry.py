@@ -363,7 +363,7 @@ def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
     moves = rate * (DIRECTIONS[guard.crossing] or rate) > 0
     moves = moves and guard.holds(end.t, x.tolist())
-    way = end.t - (driver.plan.t0 if driver.end is None else driver.end[0])
+    way = end.t - driver.since
     if way > 0.0:
         lost = driver.losses.hide(driver.scene, driver.entry.field, guard, end.t, x, way)
         noise = max(noise, lost)

@@ -76,8 +76,7 @@ def _fires(driver: Driver, spent: frozenset[str], t: float, x: StateVector) -> b
     of several that of the edge declared first (4). ``spent``: edges just taken."""
     entry, now = driver.entry, driver.record.now
     if entry.field.guards and driver.losses.tolerances:
-        since = driver.plan.t0 if driver.end is None else driver.end[0]
-        near = driver.losses.near(driver.scene, entry.field, t, x, t - since)
+        near = driver.losses.near(driver.scene, entry.field, t, x, t - driver.since)
         x = driver.losses.beyond(entry.field, near, t, x, 0.0)[1]
     own = (g for g in entry.field.guards if g.kind in DECLARED and g.edge not in spent)
     zero = [guard for guard in own if is_zero(driver, guard, now, x, t)]
