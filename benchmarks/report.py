@@ -29,7 +29,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent
 sys.path[:0] = [str(HERE), str(ROOT)]
 
-from hybrid.plot.figure import METHOD_COLORS, Curve, Figure, Panel, column  # noqa: E402
+from hybrid.plot.figure import Curve, Figure, Panel, column, looks_of_method  # noqa: E402
 from hybrid.plot.static import draw  # noqa: E402
 from measure import Row, best, floor_text, reference, shown, table  # noqa: E402
 from tasks import TASKS  # noqa: E402
@@ -152,15 +152,13 @@ def picture(found: dict[str, Any], path: Path) -> bool:
         rows = [r for r in rows if r["error"] is not None]
         if not rows:
             continue
-        look = len({c.name for c in curves}) % len(METHOD_COLORS)
+        look, bar = looks_of_method(sum(bool(c.name) for c in curves))
         x = [max(r["error"], 1e-16) for r in rows]
         bars = [
             (e, v) for e, r in zip(x, rows, strict=True) for v in (r["low"], r["high"], math.nan)
         ]
-        curves.append(Curve(x=x, y=[r["seconds"] for r in rows], name=who, look=f"method {look}"))
-        curves.append(
-            Curve(x=[e for e, _ in bars], y=[v for _, v in bars], look=f"method {look} bar")
-        )
+        curves.append(Curve(x=x, y=[r["seconds"] for r in rows], name=who, look=look))
+        curves.append(Curve(x=[e for e, _ in bars], y=[v for _, v in bars], look=bar))
     if len({r["rtol"] for r in found["rows"]}) < 2 or not curves:
         return False
     panel = Panel(curves=curves, x="error", y=f"seconds {found['unit']}", log="xy", reverse=True)

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..automaton.reals import reals
 from ..errors import PLOT, HybridError, OptionError, need
-from ..plot.figure import METHOD_COLORS, Curve, Figure, Panel, column
+from ..plot.figure import Curve, Figure, Panel, column, looks_of_method
 from ..result import Trajectory
 from ..run.options import require_count
 from ..simulation import simulate
@@ -438,10 +438,10 @@ def _drawn(own: Sequence[Timing], number: int, resolution: float) -> list[Curve]
         (e, v) for e, timing in zip(x, own, strict=True) for v in (timing.low, timing.high, nan)
     ]
     notes = [f"{t.solver} at rtol={t.rtol:g}: {_time(t.seconds)}" for t in own]
-    look = f"method {number % len(METHOD_COLORS)}"
+    look, bar = looks_of_method(number)
     return [
         Curve(x=x, y=[t.seconds for t in own], name=own[0].solver, look=look, notes=notes),
-        Curve(x=[e for e, _ in bars], y=[v for _, v in bars], look=f"{look} bar"),
+        Curve(x=[e for e, _ in bars], y=[v for _, v in bars], look=bar),
     ]
 
 

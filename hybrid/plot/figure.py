@@ -47,10 +47,22 @@ STYLES = {
     "point": Style(color=LIMIT_COLOR, dot=7.0),
     "surface": Style(color=SURFACE_COLOR, width=1.3),
     **{f"method {i}": Style(color=c, width=1.3, dot=6.0) for i, c in enumerate(METHOD_COLORS)},
+    **{
+        f"method {i} dashed": Style(color=c, width=1.3, dash=True, dot=6.0)
+        for i, c in enumerate(METHOD_COLORS)
+    },
     "proved": Style(color="#000000", width=1.8),
     **{f"method {i} dot": Style(color=c, dot=3.0) for i, c in enumerate(METHOD_COLORS)},
     **{f"method {i} bar": Style(color=c, width=0.9) for i, c in enumerate(METHOD_COLORS)},
 }
+
+
+def looks_of_method(number: int) -> tuple[str, str]:
+    """The looks of a method's curve and of its bars; once the colours are used up, lines come
+    dashed."""
+    rounds, color = divmod(number, len(METHOD_COLORS))
+    own = f"method {color}"
+    return f"{own} dashed" if rounds % 2 else own, f"{own} bar"
 
 
 def _floats(values: Any) -> np.ndarray:

@@ -24,9 +24,12 @@ BAR_WIDTH = 4.0
 #: A logarithmic axis over less than this factor is widened by it, to both sides.
 NARROW_LOG = 1.1
 
-#: Inches of a column from which down letters are smaller, the least share of their size, and inches
-#: of an entry in the legend.
+#: Inches of a column from which down letters are smaller, the least share of their size, and the
+#: least inches of an entry in the legend.
 USUAL_WIDTH, LEAST_SCALE, ENTRY_WIDTH = 3.5, 0.6, 1.5
+
+#: Inches of an entry's mark and the room about it, and of a letter.
+MARK_WIDTH, LETTER_WIDTH = 0.6, 0.075
 
 
 def draw(figure: Figure, path: Any = None, size: tuple[float, float] | None = None) -> Drawn:
@@ -48,8 +51,9 @@ def draw(figure: Figure, path: Any = None, size: tuple[float, float] | None = No
         handles = dict(_legend(drawn))
         if handles:
             labels, marks = list(handles), list(handles.values())
+            widest = max(ENTRY_WIDTH, MARK_WIDTH + LETTER_WIDTH * max(map(len, labels)))
             fits = {
-                "ncols": max(1, int(size[0] / (ENTRY_WIDTH * scale))),
+                "ncols": max(1, int(size[0] / (widest * scale))),
                 "loc": "outside lower left",
             }
             drawn.legend(marks, labels, fontsize="small", frameon=False, **fits)
