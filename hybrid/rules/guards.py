@@ -100,12 +100,12 @@ def first_event(
 
 
 def signed(a: AutomatonArrays, now: Now, room: Room, s: float) -> None:
-    """Put down the signs that guards which do not fire in a step have just before an event in it:
-    beyond the event they may pass zero in the direction in which they do not fire."""
-    field, before = now.ints[FIELD], (1.0 - TIED_IN_STEP) * s
+    """Put down the signs just before an event in a step, of guards that do not fire beside it:
+    beyond the event they may pass zero, and fire after they have passed it the other way."""
+    field, before, beside = now.ints[FIELD], (1.0 - TIED_IN_STEP) * s, (1.0 + TIED_IN_STEP) * s
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
-        if now.zeros[g - first, WHEN] == math.inf:
+        if now.zeros[g - first, WHEN] > beside:
             c = room.c[row_of(a, series_of(a, now), field, g)]
             value, _ = power_value(c, 0, c.shape[0] - 1, before)
             now.signs[g - first] = 1 if value > 0.0 else -1

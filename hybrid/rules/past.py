@@ -167,6 +167,9 @@ def due(
     if status == JUMP:
         fired = a.guards[now.ints[FIRED], AT]
         now.ints[MADE] += 1
+        if now.floats[TAU] > 0.0:  # guards have left zero
+            for g in range(now.orders.shape[0]):
+                now.orders[g] = 0
     goes_on(now, past)
     if not placed(a, now.ints[FIELD], t, now.end, room, past):
         return RECORD_NOT_FINITE

@@ -562,3 +562,43 @@ def test_a_mark_counts_in_its_direction_alone_where_windows_end(way, gain, level
     passed = np.diff(np.sign(run(np.linspace(0.0, end, 20_001)).x - level))
     assert run.final.up == np.count_nonzero(passed > 0)
     assert run.final.down == np.count_nonzero(passed < 0)
+
+
+class Halved(hy.Automaton):
+    """``x' = -k x(t/2)``, with marks on what is seen: the time until which a step looks is many
+    times that for which its windows hold."""
+
+    x = hy.state()
+    down = hy.discrete(0)
+    up = hy.discrete(0)
+    either = hy.discrete(0)
+    k: float = hy.parameter(2.0)
+
+    @hy.mode
+    def decays(self, t, s, past):
+        return (-self.k * past(t / 2).x,)
+
+    @hy.edge(decays, guard=lambda self, t, s, past: past(t / 2).x)
+    def falls(self, t, s):
+        return s.replace(down=s.down + 1)
+
+    @hy.edge(decays, guard=lambda self, t, s, past: -past(t / 2).x)
+    def rises(self, t, s):
+        return s.replace(up=s.up + 1)
+
+    @hy.edge(decays, guard=lambda self, t, s, past: past(t / 2).x, crossing=hy.EITHER)
+    def passes(self, t, s):
+        return s.replace(either=s.either + 1)
+
+
+@pytest.mark.parametrize("way", ["DOP853", "Radau", "taylor", "Tsit5"], indirect=True)
+@pytest.mark.parametrize("start", [0.0, 0.5])
+@pytest.mark.parametrize("k", [1.5, 2.0, 3.0])
+def test_a_mark_counts_once_however_far_its_series_are_followed(way, start, k):
+    """Series of a guard are followed beyond their window, where they pass zero as they please."""
+    end = 20.0
+    run = way.run(Halved(k=k), {"x": 1.0}, (start, end), rtol=1e-8, atol=1e-10).run
+    passed = np.diff(np.sign(run(np.linspace(start, end / 2, 20_001)).x))
+    assert run.final.down == np.count_nonzero(passed < 0) > 0
+    assert run.final.up == np.count_nonzero(passed > 0) > 0
+    assert run.final.either == run.final.down + run.final.up
