@@ -303,13 +303,13 @@ def dask():
 
     from tests.wells import Floor  # what a worker finds by its module
 
-    over = {"G": np.linspace(0.6, 1.0, 16), "v": np.linspace(2.5, 3.5, 12)}
+    over = {"G": np.linspace(0.6, 1.0, 16), "v": np.linspace(2.5, 3.5, 96)}
     asked = {"start": {"x": 0.0}, "t": (0.0, 600.0), "section": 2 * np.pi, "skip": 40, "keep": 8}
     first = None
     for workers in (1, 2):
         local = {"threads_per_worker": 1, "dashboard_address": None}
         with (
-            distributed.LocalCluster(workers, **local) as cluster,
+            distributed.LocalCluster(n_workers=workers, **local) as cluster,
             distributed.Client(cluster) as client,
         ):
             by = {"executor": client.get_executor()}

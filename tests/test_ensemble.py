@@ -289,7 +289,7 @@ def test_lanes_do_not_depend_on_blocks_or_threads(monkeypatch, block, count):
     r, start, t = np.linspace(0.1, 0.9, 50), {"x": 1.5, "v": 0.0}, (0.0, 4.0)
     usual = hy.ensemble(BeadOnTable(omega=3.0), start, t, {"r": r})
     monkeypatch.setattr(threads, "BLOCK_LANES", block)
-    monkeypatch.setattr(threads.os, "cpu_count", lambda: count)
+    monkeypatch.setattr(threads, "cores", lambda: count)
     assert usual.identical(hy.ensemble(BeadOnTable(omega=3.0), start, t, {"r": r}))
 
 

@@ -237,7 +237,7 @@ def test_other_processes_give_the_same(monkeypatch):
     alone = hy.sweep(Ball(), **asked)
     answers, real = [], processes._Process.answer
     monkeypatch.setattr(processes, "PAYS", 1e-9)
-    monkeypatch.setattr(processes.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(processes, "cores", lambda: 2)
     monkeypatch.setattr(processes._Process, "answer", lambda p: answers.append(1) or real(p))
 
     def waiting(shared, number, answer, hire=processes.Shared._hire):

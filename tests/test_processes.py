@@ -71,7 +71,7 @@ def crew(monkeypatch):
             ready.wait(60.0)
 
     monkeypatch.setattr(processes, "PAYS", 1e-9)
-    monkeypatch.setattr(processes.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(processes, "cores", lambda: 2)
     monkeypatch.setattr(processes, "_Process", Process)
     monkeypatch.setattr(processes.Shared, "_hire", wait)
     yield asked
@@ -98,12 +98,20 @@ def squares():
 
 def test_all_answer_together(crew, monkeypatch):
     """Each number once, by more than one process; two are started."""
-    monkeypatch.setattr(processes.os, "cpu_count", lambda: 3)
+    monkeypatch.setattr(processes, "cores", lambda: 3)
     shared = processes.Shared(square, range(200), lambda: (squares,), lambda a, b: a[0] == b[0])
     found = list(shared.answers())
     assert sorted((k, v) for k, (v, _) in found) == [(k, k * k) for k in range(200)]
     assert len({who for _, (_, who) in found}) > 1
     assert len(processes._Process.started) == 2
+
+
+@pytest.mark.parametrize(("asked", "count"), [("1", 1), ("64", 3), ("", 3), ("2,1", 3), ("0", 3)])
+def test_no_more_cores_are_used_than_the_process_may_use(monkeypatch, asked, count):
+    """Those on which it is let run, and no more than OMP_NUM_THREADS, if that is a number."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", asked)
+    assert processes.cores() == count
 
 
 def test_few_calls_are_made_here(monkeypatch):
@@ -243,7 +251,7 @@ from models.bouncing_ball import BouncingBall
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
 processes.PAYS = 1e-9
-processes.os.cpu_count = lambda: 3
+processes.cores = lambda: 3
 print("once", flush=True)
 x = np.linspace(0.5, 1.5, 100_000)
 told = lambda count: count == 50 and print([p.process.pid for p in PROCESSES], flush=True)

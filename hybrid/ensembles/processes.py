@@ -30,6 +30,7 @@ from time import perf_counter
 from typing import Any
 
 from ..errors import HybridError
+from .cores import cores
 
 #: Seconds of calls left, at the pace so far, for which one more process is started: it takes two or
 #: three of a processor until its first answer (to import, to make a model ready, to compile).
@@ -108,7 +109,7 @@ class Shared:
 
     def _hire(self, number: int, answer: Any) -> None:
         """Start processes where that pays."""
-        count = min((os.cpu_count() or 1) - 1, int(self.pace * len(self.left) / PAYS))
+        count = min(cores() - 1, int(self.pace * len(self.left) / PAYS))
         if count < 1 or self.crew is not None:
             return
         self.crew = []

@@ -8,7 +8,6 @@ the driver.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -24,6 +23,7 @@ from ..run import Driver
 from ..run.rooms import left_for, now_for, work_for
 from ..solvers.pairs import NO_TABLES
 from ..zeno.narrow import bounded
+from .cores import cores
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Integers, Mask, Matrix, StateVectors
@@ -192,7 +192,7 @@ class Abreast:
         )
 
     def _in_threads(self, which: Integers) -> Iterator[FlownLanes]:
-        threads = os.cpu_count() or 1
+        threads = cores()
         most = min(BLOCK_LANES, BLOCK_JUMPS // max(1, self.rows))
         size = max(LEAST_LANES, min(most, len(which) // (CALLS_EACH * threads)))
         automaton = self.tables.automaton
