@@ -80,7 +80,7 @@ from .places import (
 )
 from .record import broken, following, slack
 from .runs import go
-from .windows import BACKWARDS, FIXED, MOVES_ON, confirmed, nearer_guess, read, stays
+from .windows import AT_THE_END, BACKWARDS, FIXED, MOVES_ON, confirmed, nearer_guess, read, stays
 from .zeros import EPS
 
 __all__ = ("bound", "ended", "look_back")
@@ -89,9 +89,6 @@ __all__ = ("bound", "ended", "look_back")
 #: place of a lag has moved backwards: each of them is then seen many times, and so are those that
 #: follow from it.
 SMOOTH_ORDER, TURNING = 1000000, 2
-
-#: A moving lag counts as at the end of its window within this many tolerances on equal times.
-AT_THE_END = 1e2
 
 
 def look_back(
@@ -305,15 +302,19 @@ def ended(t: float, field: int, fired: int, past: PastArrays) -> None:
 
 
 def meets(k: int, t: float, fired: int, past: PastArrays) -> tuple[bool, float]:
-    """Whether a lag has reached the end of its window, and which one."""
+    """Whether a lag has reached the end of its window, and which one. A lag that has just turned
+    backwards there goes on so, whichever other lag is there too."""
     here, apart, frame = t - past.lags[k], max(slack(t), slack(t - past.lags[k])), past.windows[k]
     if past.moves[k] == FIXED:
         return here >= frame[TO_PLACE] - apart, frame[TO_PLACE]
+    late = here >= frame[TO_PLACE] - AT_THE_END * apart
+    if late and past.moves[k] == BACKWARDS and fired // 2 != k:
+        return False, frame[TO_PLACE]
     past.moves[k] = BACKWARDS if fired == 2 * k else MOVES_ON
     if past.moves[k] == BACKWARDS:
         past.ints[BREAK_ORDER] = min(past.ints[BREAK_ORDER], TURNING)
         return True, frame[SINCE_PLACE]
-    return fired == 2 * k + 1 or here >= frame[TO_PLACE] - AT_THE_END * apart, frame[TO_PLACE]
+    return fired == 2 * k + 1 or late, frame[TO_PLACE]
 
 
 def carried(field: int, past: PastArrays) -> int:

@@ -76,6 +76,9 @@ WINDOW_ROUNDING, UNHALVED = 1e-15, 1e3
 #: How a lag moves: not at all, or so that its place moves forwards or backwards.
 FIXED, MOVES_ON, BACKWARDS = 0, 1, 2
 
+#: A moving lag counts as at the end of its window within this many tolerances on equal times.
+AT_THE_END = 1e2
+
 #: Longest window of a moving lag, relative to the run; and the part behind the place, relative to
 #: that ahead.
 LONGEST_WINDOW, SIDE = 0.1, 0.25
@@ -184,12 +187,14 @@ def aim(
 ) -> None:
     """Choose both ends of a window, to be shortened if it is not resolved; longer than needed where
     there is room."""
-    frame, moves = past.windows[k], past.moves[k]
-    end, span = min(next_break(past, s, apart), math.inf if ahead else t), frame[LONGEST]
+    frame, moves, span = past.windows[k], past.moves[k], past.windows[k, LONGEST]
     if moves == FIXED:
+        end = min(next_break(past, s, apart), math.inf if ahead else t)
         frame[SINCE_PLACE] = s
         frame[TO_PLACE] = max(min(end, min(s + length, s + span)), s + apart)
         return
+    s = beside(s, frame[SINCE_PLACE if moves == BACKWARDS else TO_PLACE], apart)
+    end = min(next_break(past, s, apart), math.inf if ahead else t)
     span = min(span, LONGEST_WINDOW * (past.floats[FINAL] - past.floats[STARTED]))
     if ahead:  # a guess need not go further than it is flown over
         span = min(span, 2.0 * length + GUESS_MARGIN * apart)
@@ -200,6 +205,12 @@ def aim(
     b = min(end, s + span)
     frame[SINCE_PLACE] = min(s, max(last_break(past, s + apart, True), s - SIDE * (b - s)))
     frame[TO_PLACE] = b
+
+
+def beside(s: float, reached: float, apart: float) -> float:
+    """A place, or the end of the last window if it is there: of breaking points nearer to each
+    other than the time can tell, each window passes one."""
+    return reached if abs(s - reached) <= AT_THE_END * apart else s
 
 
 def nearer(frame: Floats, s: float, apart: float) -> None:

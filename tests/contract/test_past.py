@@ -602,3 +602,42 @@ def test_a_mark_counts_once_however_far_its_series_are_followed(way, start, k):
     assert run.final.down == np.count_nonzero(passed < 0) > 0
     assert run.final.up == np.count_nonzero(passed > 0) > 0
     assert run.final.either == run.final.down + run.final.up
+
+
+class Returning(hy.Automaton):
+    """``x' = -k x(t - lag)``, with a lag that vanishes now and then, and between looks back again
+    beyond the start, and marks on what is seen: flow and guards look by as many equal lags."""
+
+    x = hy.state()
+    down = hy.discrete(0)
+    up = hy.discrete(0)
+    k: float = hy.parameter(1.0)
+
+    def lag(self, t):
+        return 1.4 * (1.0 + jnp.sin(2.0 * t))
+
+    @hy.mode
+    def moves(self, t, s, past):
+        return (-self.k * past(self.lag(t)).x,)
+
+    @hy.edge(moves, guard=lambda self, t, s, past: past(self.lag(t)).x - 0.4)
+    def falls(self, t, s):
+        return s.replace(down=s.down + 1)
+
+    @hy.edge(moves, guard=lambda self, t, s, past: past(self.lag(t)).x - 0.4, crossing=hy.RISING)
+    def rises(self, t, s):
+        return s.replace(up=s.up + 1)
+
+
+@pytest.mark.parametrize("way", ["DOP853", "Radau", "taylor", "Tsit5"], indirect=True)
+@pytest.mark.parametrize("k", [0.5, 0.65, 0.8])
+def test_lags_may_turn_back_together_over_a_breaking_point(way, k):
+    """All of them pass it, and each mark that is seen counts once."""
+    start, end, before = 0.3, 4.0, 1.0
+    run = way.run(Returning(k=k), {"x": before}, (start, end), rtol=1e-8, atol=1e-10).run
+    t = np.linspace(start, end, 20_001)
+    place = t - 1.4 * (1.0 + np.sin(2.0 * t))
+    seen = np.where(place > start, run(np.maximum(place, start)).x, before)
+    passed = np.diff(np.sign(seen - 0.4))
+    assert run.final.down == np.count_nonzero(passed < 0) > 0
+    assert run.final.up == np.count_nonzero(passed > 0) > 0
