@@ -10,7 +10,9 @@ from tests.test_measures import Ball
 def main():
     table = hy.sweep(Ball(), **ASKED)
     with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, dashboard_address=None
+        ) as cluster,
         distributed.Client(cluster) as client,
     ):
         shared = hy.sweep(Ball(), **ASKED, executor=client.get_executor())

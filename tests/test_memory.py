@@ -477,7 +477,7 @@ def test_a_run_that_is_interrupted_where_it_ends_keeps_its_last_arc(solver, tau)
 
 @pytest.mark.parametrize("solver", ["scipy", "taylor"])
 def test_a_kicked_run_that_is_interrupted_keeps_the_arc_after_the_kick(solver):
-    """The arcs before it are kept anyway. A call of the rules' own loop flies through many kicks."""
+    """The arcs before it are kept anyway. A call of the rules' own loop flies through many."""
 
     def stop(t):
         if t > 2.0:

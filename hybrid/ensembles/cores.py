@@ -8,8 +8,8 @@ import os
 def cores() -> int:
     """Cores that this process may use.
 
-    Those on which the system lets it run, which on a cluster are fewer than the machine has; and no
-    more than ``OMP_NUM_THREADS``, which Dask sets for its workers, and Slurm's users for their jobs.
+    Those on which the system lets it run, on a cluster fewer than the machine has; and no more than
+    ``OMP_NUM_THREADS``, which Dask sets for its workers, and Slurm's users for their jobs.
     """
     own = getattr(os, "sched_getaffinity", None)  # Linux alone has it
     count = len(own(0)) if own else os.cpu_count() or 1
