@@ -239,6 +239,55 @@ class Told(hy.Automaton):
         return s.x + 10.0
 
 
+class Sampled(hy.Automaton):
+    """``x' = -2 x(t - 1)``, kicked by a clock while what it was before is above a level, with marks
+    on what it was."""
+
+    x = hy.state()
+    kicks = hy.discrete(0)
+    down = hy.discrete(0)
+    up = hy.discrete(0)
+    level: float = hy.parameter(0.1)
+
+    @hy.mode
+    def swings(self, t, s, past):
+        return (-2.0 * past(1.0).x,)
+
+    @hy.edge(swings, every=0.6, when=lambda self, t, s, past: past(0.7).x - self.level)
+    def kick(self, t, s):
+        return s.replace(x=s.x + 0.2, kicks=s.kicks + 1)
+
+    @hy.edge(swings, guard=lambda self, t, s, past: past(0.4).x - 0.5)
+    def falls(self, t, s):
+        return s.replace(down=s.down + 1)
+
+    @hy.edge(swings, guard=lambda self, t, s, past: past(0.4).x - 0.5, crossing=hy.RISING)
+    def rises(self, t, s):
+        return s.replace(up=s.up + 1)
+
+
+@pytest.mark.parametrize(
+    "way",
+    [WAYS[name] for name in ["DOP853", "RK45", "Radau", "taylor", "Tsit5", "ensemble"]],
+    ids=str,
+)
+@pytest.mark.parametrize("level", [-0.3, 0.1, 0.6])
+def test_conditions_and_marks_see_the_past_where_a_clock_is_passed(way, level):
+    """Each clock rings by what was, and each mark counts where the record passes it."""
+    end = 6.0
+    run = hy.simulate(Sampled(level=level), {"x": 1.0}, (0.0, end), solver="taylor")
+    result = way.run(Sampled(level=level), {"x": 1.0}, (0.0, end), rtol=1e-9, atol=1e-11)
+    rings = 0.6 * np.arange(1, 11)
+    seen = np.where(rings > 0.7, run(np.maximum(rings - 0.7, 0.0), side="left").x, 1.0)
+    kicked = [jump.t for jump in run.jumps if jump.edge == "kick"]
+    np.testing.assert_allclose(kicked, rings[:9][seen[:9] > level], atol=1e-12)
+    passed = np.diff(np.sign(run(np.linspace(0.0, end - 0.4, 20_001)).x - 0.5))
+    assert run.final.down == np.count_nonzero(passed < 0) > 0
+    assert run.final.up == np.count_nonzero(passed > 0)
+    for name in ("kicks", "down", "up"):
+        assert getattr(result.final, name) == getattr(run.final, name)
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_condition_reads_a_signal_from_before_its_knot(solver):
     model = Told(gate=(np.arange(0.0, 2.5, 0.5), [1.0, 0.0, 0.0, 2.0, 0.0]))

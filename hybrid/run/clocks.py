@@ -35,7 +35,7 @@ def due(driver: Driver, field: Field, x: StateVector) -> tuple[Guard | None, flo
 
 def at_once(driver: Driver) -> bool:
     """Whether a clock rings before any flow, and before any other guard that fires then (4)."""
-    clock, t = due(driver, driver.entry.field, driver.entry.x)
+    clock, t = due(driver, driver.field, driver.entry.x)
     if clock is None or driver.record.now.until(t) > 0:
         return False
     driver.renew()
@@ -51,14 +51,14 @@ def at_once(driver: Driver) -> bool:
 def first(driver: Driver, t: float, x: StateVector) -> Guard | None:
     """Of the clocks that ring at the end of an arc the first whose condition holds; None where
     there is no such."""
-    found = (clock for clock in driver.entry.field.clocks if _rings_at(driver, clock, t, x))
+    found = (clock for clock in driver.field.clocks if _rings_at(driver, clock, t, x))
     return next((clock for clock in found if clock.holds(t, x.tolist())), None)
 
 
 def failing(driver: Driver, x: StateVector) -> set[str]:
     """The clocks that ring now, and whose conditions fail: their time is over."""
     t = driver.t
-    found = (clock for clock in driver.entry.field.clocks if clock.when is not None)
+    found = (clock for clock in driver.field.clocks if clock.when is not None)
     return {
         clock.edge
         for clock in found

@@ -630,7 +630,7 @@ class Machine:
                 driver.status = Status.REACHED_END
                 return
             driver.spent |= self._over()
-            driver.entry = attrs.evolve(driver.entry, x=x)
+            driver.entry = attrs.evolve(driver.entry, x=x, field=driver.field)
             clocks.go_by(driver, due, x)
         else:
             driver.tied = self._tied()
