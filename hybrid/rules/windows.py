@@ -197,7 +197,7 @@ def aim(
     end = min(next_break(past, s, apart), math.inf if ahead else t)
     span = min(span, LONGEST_WINDOW * (past.floats[FINAL] - past.floats[STARTED]))
     if ahead:  # a guess need not go further than it is flown over
-        span = min(span, 2.0 * length + GUESS_MARGIN * apart)
+        span = min(span, max(t - s, 2.0 * length + GUESS_MARGIN * apart))
     if moves == BACKWARDS:
         frame[SINCE_PLACE] = max(last_break(past, s - apart, False), s - span)
         frame[TO_PLACE] = min(s + apart, end)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import dropwhile
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -417,6 +418,8 @@ class ArcFlow:
         order, t0 = self.orders[index], self.now.t
         noise, ends, many = self._leaving(index, stepper), dict(self.ends), len(grazes)
         found = zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise)
+        if order > 1:  # it is on its side: a zero at which it would come there is rounding
+            found = dropwhile(lambda zero: zero.direction == self.signs[index], found)
         fired = self._first_zero(index, found, segment, stepper.x, tolerance, grazes)
         while fired is not None and (
             (finer := self._tolerance(guard, segment, fired.tau, segment(fired.tau)))

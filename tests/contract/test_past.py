@@ -641,3 +641,48 @@ def test_lags_may_turn_back_together_over_a_breaking_point(way, k):
     passed = np.diff(np.sign(seen - 0.4))
     assert run.final.down == np.count_nonzero(passed < 0) > 0
     assert run.final.up == np.count_nonzero(passed > 0) > 0
+
+
+class Meeting(hy.Automaton):
+    """Two lags that each come to zero and grow again, with marks on what is seen; that on the way
+    since then only touches zero there."""
+
+    x = hy.state()
+    v = hy.state()
+    down = hy.discrete(0)
+    up = hy.discrete(0)
+    w: float = hy.parameter(2.0)
+
+    def near(self, t):
+        return 1.2 * (1.0 + jnp.sin(2.0 * t))
+
+    def far(self, t):
+        return 1.4 * (1.0 + jnp.sin(self.w * t))
+
+    @hy.mode
+    def moves(self, t, s, past):
+        there = past(self.far(t)).v
+        return past(self.near(t)).x - 0.3 * s.x, 0.5 * (s.x - s.v) - there
+
+    @hy.edge(moves, guard=lambda self, t, s, past: past(self.far(t)).v - 0.1)
+    def falls(self, t, s):
+        return s.replace(down=s.down + 1)
+
+    @hy.edge(moves, guard=lambda self, t, s, past: s.x - past(self.near(t)).x, crossing=hy.RISING)
+    def rises(self, t, s):
+        return s.replace(up=s.up + 1)
+
+
+@pytest.mark.parametrize("way", ["DOP853", "taylor"], indirect=True)
+@pytest.mark.parametrize("w", [1.6, 2.0])
+def test_lags_vanish_and_grow_again(way, w):
+    """In few windows, though each lag is shorter than a step there, and by what it moved; a mark
+    that is touched does not count. At the start the second leaves zero."""
+    end, start = 4.0, {"x": 0.63, "v": 0.99}
+    run = way.run(Meeting(w=w), start, (0.0, end), rtol=1e-9, atol=1e-9).run
+    t = np.linspace(0.0, end, 20_001)
+    place = t - 1.4 * (1.0 + np.sin(w * t))
+    seen = np.where(place > 0.0, run(np.maximum(place, 0.0)).v, start["v"])
+    assert run.final.down == np.count_nonzero(np.diff(np.sign(seen - 0.1)) < 0) > 0
+    assert run.final.up == 1
+    assert run.stats.steps < 1500
