@@ -203,6 +203,68 @@ def test_where_there_is_no_derivative(wide):
     assert out.zeno.t < 2.0
 
 
+class Lifted(hy.Automaton):
+    """A mass at rest, lifted by a force that was: after the release it sees that of the release."""
+
+    x = hy.state()
+    v = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def moves(self, t, s, past):
+        return s.v, -1.0 + 1.5 * past(0.3).w * jnp.sin(2.0 * t), 0.2 * s.w
+
+    impact = hy.contact(moves, gap=lambda self, t, s: s.x, restitution=0.4)
+
+
+class Slides(hy.Automaton):
+    """A relay that slides, and leaves its surface by what was before."""
+
+    x = hy.state()
+    v = hy.state()
+    w = hy.state()
+
+    def force(self, s, past):
+        return 0.5 * past(0.4).w - s.x - 0.3 * s.v
+
+    @hy.mode(initial=True)
+    def above(self, t, s, past):
+        return s.v, self.force(s, past) - 0.7, 0.6 * s.w
+
+    @hy.mode
+    def below(self, t, s, past):
+        return s.v, self.force(s, past) + 0.7, 0.6 * s.w
+
+    relay = hy.switching(above, below, surface=lambda self, t, s: s.v + 0.5 * s.x - 0.4)
+
+
+@pytest.mark.parametrize(
+    ("model", "start", "leaves"),
+    [
+        (Lifted, {"x": 0.0, "v": 0.0, "w": 1.2}, "impact.release"),
+        (Slides, {"x": 0.2, "v": 0.7, "w": 1.3}, "relay.positive"),
+    ],
+)
+@pytest.mark.parametrize("memory", ["keep", "restart"])
+def test_derivatives_where_a_rest_or_a_slide_ends(wide, model, start, leaves, memory):
+    """With a restarted past the flow jumps there: neighbours that leave later see another one.
+
+    Differences over 1e-5 of runs to rounding are right to 1e-10.
+    """
+    asked = {"t": (0.0, 3.0), "memory": memory}
+    run = hy.simulate(model(), start, solver="taylor", **asked)
+    assert leaves in {jump.edge for jump in run.jumps}
+    end = hy.as_function(model(), max_jumps=50, **asked)
+    found = jax.jacfwd(lambda w: end(model(), {**start, "w": w}).final)(start["w"])
+    ends = [
+        hy.simulate(model(), {**start, "w": start["w"] + d}, solver="taylor", **asked).final
+        for d in (-1e-5, 1e-5)
+    ]
+    for name in ("x", "v", "w"):
+        slope = (getattr(ends[1], name) - getattr(ends[0], name)) / 2e-5
+        assert float(found[name]) == pytest.approx(slope, abs=1e-8)
+
+
 def test_second_derivatives_are_refused(wide):
     """With what can be done."""
     run = hy.as_function(Decay(), t=(0.0, 1.0), max_jumps=1)

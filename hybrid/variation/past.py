@@ -134,7 +134,7 @@ class PastVariation:
     @property
     def restarts(self) -> bool:
         """Whether jumps erase the past."""
-        return bool(self.sight.memory == "restart")
+        return self.walk.restarts
 
     def broken(self, times: Iterable[float]) -> None:
         """Add breaking points of the record, and those that follow through the lags."""

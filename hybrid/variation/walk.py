@@ -51,7 +51,8 @@ TIES = (
     "first variation"
 )
 
-#: Kinds of jumps that change neither the state nor, at the jump, the flow.
+#: Kinds of jumps that change neither the state nor, at the jump, the flow, unless it then sees
+#: another past.
 SMOOTH_KINDS = (Kind.RELEASE, Kind.LEAVE)
 
 
@@ -322,6 +323,11 @@ class Walk:
             self._known[id(scene)] = scene, Derivatives(scene, self.parameters)
         return self._known[id(scene)]
 
+    @property
+    def restarts(self) -> bool:
+        """Whether a jump erases the past, by which the flow jumps, too."""
+        return self.course.sight is not None and self.course.sight.memory == "restart"
+
     def _on_piece(self, t: float) -> Scene:
         """The scene on the signals' pieces at a time."""
         if not self._since <= t < self._there.until:
@@ -359,7 +365,8 @@ class Walk:
         for place, row in group:
             resets = after_reset(self._reset(place, row), resets)
         reset = self._widened(resets[:, 1:])
-        if guard.kind not in SMOOTH_KINDS or jumped is not None or waits or len(group) > 1:
+        smooth = guard.kind in SMOOTH_KINDS and not self.restarts
+        if not smooth or jumped is not None or waits or len(group) > 1:
             moves = resets[:, 1 : 1 + self.size] @ before + resets[:, 0]
             change = moves - (moves if after is None else self._flow(after, False))
             later = np.outer(change, time)
