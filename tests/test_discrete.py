@@ -1,5 +1,6 @@
 """Discrete variables: numbers that only jumps change."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -126,6 +127,20 @@ def test_the_start_may_leave_it_out_and_may_give_it(solver):
     assert hy.simulate(Gears(), [0.0], (0.0, 0.5), solver=solver).final.gear == 1
 
 
+def test_a_sequence_may_end_with_it():
+    """A start in order has the states that flow, and then all discrete variables or none."""
+    end = hy.simulate(Gears(), [0.0, 3, False, 0.25], (0.0, 0.5)).final
+    assert end == hy.simulate(Gears(), {"x": 0.0, "gear": 3}, (0.0, 0.5)).final
+    with jax.enable_x64(True):
+        f = hy.as_function(Gears(), t=(0.0, 0.5), max_jumps=4)
+        assert f(Gears(), [0.0, 3, 0, 0.25]).final.x == pytest.approx(1.5, rel=1e-15)
+        given = jnp.array([0.0, 3.0, 0.0, 0.25])
+        slope = jax.jacfwd(lambda start: f(Gears(), start).final.x)(given)
+    assert slope == pytest.approx([1.0, 0.0, 0.0, 6.0], rel=1e-14)  # x = 4 gear held t; rounding
+    with pytest.raises(hy.StartError, match="2 values for 1 state"):
+        hy.simulate(Gears(), [0.0, 3], (0.0, 0.5))
+
+
 def test_a_run_goes_on_with_it_and_outputs_see_it(solver):
     """Gear 3 at speed 3 from 1.5 on."""
     first = hy.simulate(Gears(), {"x": 0.0}, (0.0, 2.0), solver=solver)
@@ -195,8 +210,6 @@ def test_lanes_count(solver):
 
 
 def test_a_function_has_it_as_a_number():
-    import jax
-
     with jax.enable_x64(True):
         f = hy.as_function(Counting(), t=(0.0, 2.0), max_jumps=10)
         out = f(Counting(), START)

@@ -164,6 +164,18 @@ def test_two_edges_at_one_time_are_parted(count):
     the_same(run, whole)
 
 
+@pytest.mark.parametrize("before", [1e-8, 1e-9, 1e-10, 1e-11])
+def test_a_run_that_goes_on_at_rest_fits_one_that_ends_in_a_low_flight(before):
+    """The second finds the last flight to be rounding and drops its speed; the two are one run."""
+    spring, start = HardSpring(), [2.1, 0.0]
+    whole = hy.simulate(spring, start, (0.0, 4.0), solver="taylor")
+    cut = whole.zeno[0].t - before
+    first = hy.simulate(spring, start, (0.0, cut), solver="taylor")
+    run = first + hy.simulate(spring, first, (cut, 4.0), solver="taylor")
+    assert (run.mode, run.final) == (whole.mode, whole.final)
+    parts_fit(run)
+
+
 def test_many_short_runs_are_one():
     """As a loop goes on that looks at each of them: through the limit, into the rest."""
     run = ball((0.0, 0.05))

@@ -251,9 +251,11 @@ def test_jumps_of_lanes_that_machine_code_flies(asked, monkeypatch):
 
 
 @pytest.mark.parametrize(("section", "every"), [("impact", 1), ("impact", 3), (0.05, 1), (0.05, 4)])
-def test_the_last_points(section, every):
-    """``skip=None`` keeps the last ones of those that are kept otherwise."""
+@pytest.mark.parametrize("most", [None, 14])
+def test_the_last_points(section, every, most):
+    """``skip=None`` keeps the last ones of those that are kept otherwise, wherever a lane ends."""
     asked = {"start": {"x": 1.0, "v": 0.0}, "t": (0.0, 9.0), "section": section, "every": every}
+    asked["max_jumps"] = most
     everyone = hy.ensemble(Ball(r=0.95), **asked, keep=999)
     last = hy.ensemble(Ball(r=0.95), **asked, skip=None, keep=4)
     there = np.isfinite(everyone.t_section.values[0])

@@ -10,7 +10,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from .chance import draws
+from .chance import DOCS, draws
 from .discrete import typed
 from .markers import Crossing, Times
 from .past import LagSpec, window_shapes
@@ -335,8 +335,8 @@ class Spec:
     def values(self, record: Any, held: Any = None) -> list[Any]:
         """The fields of a record, mapping or sequence, in the order of the state vector.
 
-        Discrete variables may be omitted, as they are in a sequence; they then come from the record
-        ``held``, or are their defaults.
+        Discrete variables may be omitted; they then come from the record ``held``, or are their
+        defaults. A sequence has none, or, without ``held``, all that are declared.
 
         Raises
         ------
@@ -359,6 +359,9 @@ class Spec:
         except TypeError:
             what = "one value" if hasattr(record, "shape") else repr(record)
             raise ValueError(f"{what} for {_listed(names)}") from None
+        declared = [name for name in others if held is None and name not in DOCS]
+        if len(values) == len(names) + len(declared):
+            return [*values, *list(others.values())[len(declared) :]]
         if len(values) != len(names):
             count = "one value" if len(values) == 1 else f"{len(values)} values"
             raise ValueError(f"{count} for {_listed(names)}")

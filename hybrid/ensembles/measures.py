@@ -307,8 +307,8 @@ class MeasuredLane(Log):
         if not isinstance(self.section, Period):
             return np.empty(0)
         skip, every, keep = self.asked.skip, self.asked.every, self.asked.keep
-        if skip is None:
-            numbers = np.arange(0, self._periods(t1), every)[-keep:]
+        if skip is None:  # where the lane will end is not known: the last ones stay
+            numbers = np.arange(0, self._periods(t1), every)
         else:
             numbers = skip + every * np.arange(keep)
         times = self.t0 + (1 + numbers) * self.section.period
@@ -330,13 +330,11 @@ class MeasuredLane(Log):
         self._look()
         t1 = self.kept[-1].t1 if self.kept else self.t0
         for name, times in self.due.items():
-            for place in np.flatnonzero(times == t1).tolist() if self.kept else ():
-                self._put(name, place, self.kept[-1].last, self.kept[-1].mode)
+            for k in np.flatnonzero(times == t1).tolist() if self.kept else ():
+                self._due(name, k, self.kept[-1].last, self.kept[-1].mode)
         if isinstance(self.section, Period):
             self.met = self._periods(t1)
-            times = self.due["points"]
-            self.views["t"][: len(times)] = np.where(times <= t1, times, np.nan)
-        elif "modes" in self.views:
+        if "modes" in self.views:
             self._unroll()
         if "moves" in self.views:
             self.views["size"][...] = self.size
@@ -395,6 +393,13 @@ class MeasuredLane(Log):
         far = np.abs(states - part.last).max(axis=0)
         return float((far / np.where(self.size > 0, self.size, 1.0)).max())
 
+    def _due(self, name: str, k: int, x: StateVector, mode: str) -> None:
+        """Put down the state at a time that was asked for."""
+        if name == "points":
+            k, t = k % self.asked.keep, float(self.due[name][k])
+            self.views["t"][k] = t
+        self._put(name, k, x, mode)
+
     def _put(self, name: str, place: int, x: StateVector, mode: str) -> None:
         """Put down a state; of points on a section the mode behind them."""
         self.views[name][place] = x
@@ -415,8 +420,9 @@ class MeasuredLane(Log):
             elif isinstance(part, Arc) and part.constrained:
                 self.stuck += part.length
             for name, times in self.due.items():
-                for k in np.flatnonzero((times >= part.t0) & (times < part.t1)).tolist():
-                    self._put(name, k, _at(part, float(times[k])), _mode_at(part, float(times[k])))
+                for k in range(*np.searchsorted(times, (part.t0, part.t1)).tolist()):
+                    t = float(times[k])
+                    self._due(name, k, _at(part, t), _mode_at(part, t))
             if isinstance(self.section, EdgeSection):
                 self._jumps(part, self.section.name, then)
             elif isinstance(self.section, Surface):
