@@ -37,6 +37,17 @@ HEAP, VANISHING = 8, 1e-5
 #: up to this factor, than as many before: states are known to 1e-16, and times to its square root.
 STALLED, STALL, STALL_FALL = 50, 1e-9, 0.9
 
+#: What to do where jumps follow each other with no time between them; and where these are impacts
+#: of several contacts.
+LOOP = (
+    "a reset must leave its guard, a contact needs rests=True, and a cycle of edges has a limit "
+    "only where its resets lead back to where it began, which those that draw do not"
+)
+COLLAPSE = (
+    "bodies that collapse onto each other strike in no order that repeats, and where that leads is "
+    "not known: join those that stay together to one body, or let them bounce more"
+)
+
 
 class Recorder:
     """Grows as the run goes on; ``now`` and ``j`` are its hybrid time, ``made`` the number of its
@@ -229,12 +240,12 @@ class Recorder:
         for k, stuck in enumerate(caught.tolist()):
             self._stuck = self._stuck + 1 if stuck else CAUGHT - 1
             among = dict.fromkeys(edges[k : k + CAUGHT].tolist())
-            if self._stuck >= (STRUCK if self._impacts.issuperset(among) else CAUGHT):
+            impacts = self._impacts.issuperset(among)
+            if self._stuck >= (STRUCK if impacts else CAUGHT):
+                remedy = COLLAPSE if impacts and len(among) > 1 else LOOP
                 raise JumpLoopError(
                     f"{where(new - len(caught) + k)}: {self._stuck} jumps with no time to speak of "
-                    f"between them: {' -> '.join(among)}; a reset must leave its guard, a contact "
-                    "needs rests=True, and a cycle of edges has a limit only where its resets lead "
-                    "back to where it began, which those that draw do not"
+                    f"between them: {' -> '.join(among)}; {remedy}"
                 )
 
     def limit_point(self, point: Accumulation, tail: Tail | CycleLimit | None) -> None:
