@@ -311,6 +311,7 @@ class _Piece:
         jumps = isinstance(self.guard, Guard) and self.guard.jumps
         if jumps and not self.resolved(values):
             values = self.beside_jumps(left, right, values)
+            last = float(values[-1]) if values[-1] * last < 0.0 else last
         if depth and self.halvings and not self.resolved(values):
             self.halvings -= 1
             middle = 0.5 * (left + right)
@@ -339,7 +340,7 @@ class _Piece:
     def beside_jumps(self, left: float, right: float, values: Numbers) -> Numbers:
         """The samples without jumps at the rounding of the time, over which no polynomial leads:
         from end to end of a part that is as short, and just before the end of the step where the
-        guard jumps there to another value on the same side, neither of them zero."""
+        guard jumps there, and not from zero. If it jumps over zero, the next step begins so."""
         spacing = float(np.spacing(abs(self.t0) + self.segment.end))
         short = 64 * (spacing / self.segment.length + EPS)
         if right - left <= short:
@@ -347,7 +348,7 @@ class _Piece:
         before, last = self.at(right - short), float(values[-1])
         largest = max(abs(last), self.ends.get(("largest", self.guard.edge), 0.0))
         clear = abs(before) > RESOLVED * largest + self.tolerance + self.noise
-        if right == 1.0 and clear and before * last > 0.0:
+        if right == 1.0 and clear:
             values[-1] = before
         return values
 

@@ -525,6 +525,7 @@ class Driven(hy.Automaton):
     passed = hy.discrete(0)
     p: float = hy.parameter(1.0)
     w: float = hy.parameter(1.0)
+    back: float = hy.parameter(0.0)
 
     @hy.mode(initial=True)
     def on(self, t, s):
@@ -541,7 +542,7 @@ class Driven(hy.Automaton):
         crossing=hy.EITHER,
     )
     def passes(self, t, s):
-        return s.replace(passed=s.passed + 1)
+        return s.replace(x=s.x - self.back, passed=s.passed + 1)
 
 
 @pytest.mark.parametrize("way", ["DOP853", "taylor"], indirect=True)
@@ -563,3 +564,25 @@ def test_a_step_that_ends_on_a_jump_shows_no_zero_that_is_not_there(way, p, w, x
     seen = run(t).x - p * (t / p - np.floor(t / p))
     assert run.final.teeth == 0
     assert run.final.passed == np.count_nonzero(np.diff(np.sign(seen)))
+
+
+@pytest.mark.parametrize("way", ["DOP853", "taylor"], indirect=True)
+@pytest.mark.parametrize(
+    ("p", "w", "x", "v"),
+    [
+        (1.4215276269545352, 1.8756857811132988, -0.03954021726039919, 1.7676473867680946),
+        (0.6778505091184815, 2.154563366443063, -0.21686599088530734, 1.9765773738033836),
+        (1.013145501162707, 1.324065026469023, -0.037618497376493254, 1.5689421719626904),
+    ],
+)
+def test_a_jump_over_zero_at_the_end_of_a_step_fires_there(way, p, w, x, v):
+    """And nowhere before: each edge fires where its guard is zero, or jumps."""
+    asked = {"rtol": 1e-10, "atol": 1e-12, "max_jumps": 200}
+    run = way.run(Driven(p=p, w=w, back=1.5), {"x": x, "v": v}, (0.0, 6.0), **asked).run
+    jumps = [jump for jump in run.jumps if jump.edge == "passes"]
+    t = np.array([jump.t for jump in jumps])
+    turns = t / p
+    value = np.array([jump.before.x for jump in jumps]) - p * (turns - np.floor(turns))
+    wraps = np.abs(turns - np.round(turns)) < 1e-9
+    assert len(jumps) > 0
+    assert np.all(wraps | (np.abs(value) < 1e-9))
