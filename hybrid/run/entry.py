@@ -269,10 +269,10 @@ def opened(scene: Scene, mode: str, contact: str, t: float, x: StateVector) -> b
     field = scene.field(mode)
     guard = field.guards[field.column(contact)]
     sizes = scene.rounding(guard, field)(t, x.tolist())
-    gap, speed, force = guard.lie(t, x.tolist())
+    gap, speed, _ = guard.lie(t, x.tolist())
     late = 64 * float(np.spacing(abs(t)))  # the place at which it opens is known no better
-    far = abs(gap) > 64 * EPS * sizes[0] + late * (abs(speed) + late * abs(force))
-    return far or abs(speed) > 64 * EPS * sizes[1] + late * abs(force)
+    far = abs(gap) > 64 * EPS * sizes[0] + late * (sizes[1] + late * sizes[2])
+    return far or abs(speed) > 64 * EPS * sizes[1] + late * sizes[2]
 
 
 def beyond_kinks(
