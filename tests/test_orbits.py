@@ -311,6 +311,35 @@ def test_a_touch_from_beyond_is_warned_of(unit, inside):
     assert orbit.jumps == 0
 
 
+class Dragged(hy.Automaton):
+    """A drag by the square of the speed: its formula changes where the body turns."""
+
+    x = hy.state()
+    v = hy.state()
+    wall: float = hy.parameter(-5.0)
+
+    @hy.mode
+    def flow(self, t, s):
+        return s.v, -s.x - 0.2 * s.v * jnp.abs(s.v) + jnp.cos(2.0 * t)
+
+    impact = hy.contact(flow, gap=lambda self, t, s: s.x - self.wall, restitution=0.8)
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+def test_an_orbit_turns_where_its_flow_changes(solver):
+    """Its extrema are where steps meet; half a period later the orbit is its own mirror image. A
+    wall there is told once."""
+    asked = {"period": math.pi, "solver": solver}
+    orbit = hy.periodic_orbit(Dragged(), [0.3, 0.0], settle=30, **asked)
+    low, high = orbit.extrema["x"]
+    inside = orbit.run(np.linspace(orbit.run.t0, orbit.run.t1, 2001)).x
+    assert low <= inside.min()
+    assert low == pytest.approx(-high, rel=1e-10)  # the tolerances, 1e-12, over a turn
+    with pytest.warns(UserWarning, match="impact comes to .* of zero at"):
+        touching = hy.periodic_orbit(Dragged(wall=low), orbit.start, t=orbit.run.t0, **asked)
+    assert len(touching.grazing) == 1
+
+
 class Brushing(VanDerPol):
     """Its wall cuts a millionth off the cycle, whose least ``x`` is -2.00861986."""
 

@@ -56,15 +56,29 @@ class Along:
         return max(2.0 / s.length * np.abs(chebyshev.chebder(s.series)).sum() for s in steps)
 
     def nearest(self) -> Iterator[tuple[float, float]]:
-        """Times and values of its near-zero extrema, between places where it is far from zero."""
+        """Time and value of the extremum nearest to zero, between places where it is far from zero.
+
+        Where steps meet at a kink it may turn on neither of them: there it turns if it comes from
+        the side to which it leaves.
+        """
         bound = GRAZES**2 * self.largest
         for arc in self.arcs:
-            times = np.concatenate([step.times for step in arc])
-            far = times[np.abs(np.concatenate([step.values for step in arc])) > bound]
+            times, values = (
+                np.concatenate([getattr(step, of) for step in arc]) for of in ("times", "values")
+            )
+            far = np.abs(values) > bound
+            times, values = times[far], values[far]
+            found: dict[int, list[tuple[float, float]]] = {}
             for step in arc:
                 for t, value in _turned(step, bound):
-                    if far.size and far[0] < t < far[-1]:
-                        yield t, value
+                    found.setdefault(int(np.searchsorted(times, t)), []).append((t, value))
+                if abs(value := float(step.values[0])) <= bound:
+                    after = int(np.searchsorted(times, step.start))
+                    if values[after - 1 : after + 1].prod() > 0.0:
+                        found.setdefault(after, []).append((step.start, value))
+            for after, near in found.items():
+                if 0 < after < len(times):
+                    yield min(near, key=lambda one: abs(one[1]))
 
 
 def _turned(step: Step, bound: float) -> Iterator[tuple[float, float]]:

@@ -301,7 +301,7 @@ def extrema(run: Trajectory) -> dict[str, tuple[float, float]]:
     for arc in run.arcs:
         for segment in arc.segments:
             for i, series in enumerate(segment.coefficients.T):
-                turns = chebyshev.chebval(turning(series), series)
+                turns = chebyshev.chebval([-1.0, *turning(series), 1.0], series)
                 low[i], high[i] = min([low[i], *turns]), max([high[i], *turns])
     pairs = zip(low.tolist(), high.tolist(), strict=True)
     return dict(zip(run.spec.element_names, pairs, strict=True))
