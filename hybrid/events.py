@@ -24,13 +24,14 @@ from numpy.polynomial import chebyshev
 
 from .automaton.markers import Crossing
 from .errors import FlowError
+from .lowering import Guard
 from .rules import unit
 from .rules.zeros import EPS, SPARE_ROWS, UNFIT, WORK_FULL
 from .segment import Segment, from_values, nodes
 
 if TYPE_CHECKING:
     from .automaton.shapes import Matrix, Numbers
-    from .lowering import Guard, Kink
+    from .lowering import Kink
 
 #: Degree at which a guard that is not a polynomial is sampled, piece by piece.
 SAMPLED = 12
@@ -306,6 +307,10 @@ class _Piece:
         width = right - left
         fractions = left + width * nodes(self.degree)
         values = self.sample(fractions)
+        last = float(values[-1])
+        jumps = isinstance(self.guard, Guard) and self.guard.jumps
+        if jumps and not self.resolved(values):
+            values = self.beside_jumps(left, right, values)
         if depth and self.halvings and not self.resolved(values):
             self.halvings -= 1
             middle = 0.5 * (left + right)
@@ -313,12 +318,14 @@ class _Piece:
             yield from self.zeros(middle, right, 0, depth - 1)
             return
         edge, seen = self.guard.edge, ("largest", self.guard.edge)
-        values[0] = self.ends.get(edge, values[0])
+        came = self.ends.get(edge, values[0])
+        if not (jumps and came * values[0] > 0.0):  # over a jump on one side no polynomial leads
+            values[0] = came
         bernstein = to_bernstein(self.degree) @ values
         bernstein[0], bernstein[-1] = values[0], values[-1]
         before = max(self.ends.get(seen, 0.0), abs(float(values[0])))
         away = before > self.tolerance
-        self.ends[edge] = float(values[-1])
+        self.ends[edge] = last
         self.ends[seen] = max(self.ends.get(seen, 0.0), float(np.abs(values).max()))
         rough = not (self.guard.affine or order or self.resolved(values))
         for root, direction in roots(bernstein, order, self.tolerance):
@@ -328,6 +335,21 @@ class _Piece:
                 yield self.refined(left + width * root, direction, fractions, values), direction
             elif direction or away:
                 yield left + width * root, direction
+
+    def beside_jumps(self, left: float, right: float, values: Numbers) -> Numbers:
+        """The samples without jumps at the rounding of the time, over which no polynomial leads:
+        from end to end of a part that is as short, and just before the end of the step where the
+        guard jumps there to another value on the same side, neither of them zero."""
+        spacing = float(np.spacing(abs(self.t0) + self.segment.end))
+        short = 64 * (spacing / self.segment.length + EPS)
+        if right - left <= short:
+            return values[0] + (values[-1] - values[0]) * nodes(self.degree)
+        before, last = self.at(right - short), float(values[-1])
+        largest = max(abs(last), self.ends.get(("largest", self.guard.edge), 0.0))
+        clear = abs(before) > RESOLVED * largest + self.tolerance + self.noise
+        if right == 1.0 and clear and before * last > 0.0:
+            values[-1] = before
+        return values
 
     def leaves(self, values: Numbers, root: float) -> bool:
         """Whether a guard exceeds rounding somewhere before a zero of its polynomial."""

@@ -513,3 +513,53 @@ def test_no_tooth_of_a_saw_is_passed_after_however_short_a_flight(way, since):
         way.many(Sawn(), [[1.0, 0.0]] * len(until), (since, until)), start=2
     ):
         assert result.final.n == count
+
+
+class Driven(hy.Automaton):
+    """A driven state, with a saw of itself that never reaches zero (``p`` < 1), and a saw of time
+    that it passes, which counts."""
+
+    x = hy.state()
+    v = hy.state()
+    teeth = hy.discrete(0)
+    passed = hy.discrete(0)
+    p: float = hy.parameter(1.0)
+    w: float = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def on(self, t, s):
+        return s.v, -0.3 * self.w * s.x + jnp.cos(self.w * t)
+
+    @hy.edge(on, to=on, guard=lambda self, t, s: 1.0 - jnp.mod(s.x, self.p))
+    def tooth(self, t, s):
+        return s.replace(teeth=s.teeth + 1)
+
+    @hy.edge(
+        on,
+        to=on,
+        guard=lambda self, t, s: s.x - self.p * (t / self.p - jnp.floor(t / self.p)),
+        crossing=hy.EITHER,
+    )
+    def passes(self, t, s):
+        return s.replace(passed=s.passed + 1)
+
+
+@pytest.mark.parametrize("way", ["DOP853", "taylor"], indirect=True)
+@pytest.mark.parametrize(
+    ("p", "w", "x", "v"),
+    [
+        (0.9802144832458515, 2.481969727450675, 0.025862643025213017, 1.861603308744421),
+        (0.9192222463529294, 2.639227048368511, -0.04687149665129864, 1.8454311150722977),
+        (0.8421380035922615, 2.1305789971054008, -0.03378714369874214, 0.5180301254996437),
+        (0.6892815063348896, 1.465658949203789, -0.13528922379488065, 1.154084039797619),
+        (0.4815476403351425, 1.0354070133454134, 0.24369523541222476, 0.3796400569259068),
+    ],
+)
+def test_a_step_that_ends_on_a_jump_shows_no_zero_that_is_not_there(way, p, w, x, v):
+    """There its last or first value is beyond, or before, the jump by rounding."""
+    asked = {"rtol": 1e-10, "atol": 1e-12, "max_jumps": 200}
+    run = way.run(Driven(p=p, w=w), {"x": x, "v": v}, (0.0, 6.0), **asked).run
+    t = np.linspace(0.0, 6.0, 60_001)
+    seen = run(t).x - p * (t / p - np.floor(t / p))
+    assert run.final.teeth == 0
+    assert run.final.passed == np.count_nonzero(np.diff(np.sign(seen)))
