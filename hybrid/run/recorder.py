@@ -39,7 +39,7 @@ STALLED, STALL, STALL_FALL = 50, 1e-9, 0.9
 
 #: What to do where jumps follow each other with no time between them; and where these are impacts
 #: of several contacts.
-LOOP = (
+ENDLESS = (
     "a reset must leave its guard, a contact needs rests=True, and a cycle of edges has a limit "
     "only where its resets lead back to where it began, which those that draw do not"
 )
@@ -242,7 +242,7 @@ class Recorder:
             among = dict.fromkeys(edges[k : k + CAUGHT].tolist())
             impacts = self._impacts.issuperset(among)
             if self._stuck >= (STRUCK if impacts else CAUGHT):
-                remedy = COLLAPSE if impacts and len(among) > 1 else LOOP
+                remedy = COLLAPSE if impacts and len(among) > 1 else ENDLESS
                 raise JumpLoopError(
                     f"{where(new - len(caught) + k)}: {self._stuck} jumps with no time to speak of "
                     f"between them: {' -> '.join(among)}; {remedy}"
