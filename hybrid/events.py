@@ -177,7 +177,7 @@ def _straddle(kink: Kink, segment: Segment, t0: float, share: float, side: int) 
         value = kink.value(t0 + tau, segment(tau).tolist())
         return float(np.sign(value))
 
-    width = float(np.spacing(abs(t0) + segment.end)) / segment.length + EPS
+    width = _rounding(segment, t0)
     widest = max(WIDEST, 64 * width)
     while width < widest:
         before, after = share - width, share + width
@@ -188,6 +188,11 @@ def _straddle(kink: Kink, segment: Segment, t0: float, share: float, side: int) 
             return Cut(kink, min(before - width, share), after + width, int(there))
         width *= 2.0
     return None
+
+
+def _rounding(segment: Segment, t0: float) -> float:
+    """The rounding of the time at the end of a step, as a fraction of the step."""
+    return float(np.spacing(abs(t0) + segment.end)) / segment.length + EPS
 
 
 def _wider(cut: Cut) -> Cut:
@@ -341,8 +346,7 @@ class _Piece:
         """The samples without jumps at the rounding of the time, over which no polynomial leads:
         from end to end of a part that is as short, and just before the end of the step where the
         guard jumps there, and not from zero. If it jumps over zero, the next step begins so."""
-        spacing = float(np.spacing(abs(self.t0) + self.segment.end))
-        short = 64 * (spacing / self.segment.length + EPS)
+        short = 64 * _rounding(self.segment, self.t0)
         if right - left <= short:
             return values[0] + (values[-1] - values[0]) * nodes(self.degree)
         before, last = self.at(right - short), float(values[-1])

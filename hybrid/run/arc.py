@@ -417,18 +417,21 @@ class ArcFlow:
         scale = scales[index] if scales else float("inf")
         order, t0 = self.orders[index], self.now.t
         noise, ends, many = self._leaving(index, stepper), dict(self.ends), len(grazes)
-        found = zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise)
-        if order > 1:  # it is on its side: a zero at which it would come there is rounding
-            found = dropwhile(lambda zero: zero.direction == self.signs[index], found)
-        fired = self._first_zero(index, found, segment, stepper.x, tolerance, grazes)
+
+        def first() -> Fired | None:
+            found = zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise)
+            if order > 1:  # it is on its side: a zero at which it would come there is rounding
+                found = dropwhile(lambda zero: zero.direction == self.signs[index], found)
+            return self._first_zero(index, found, segment, stepper.x, tolerance, grazes)
+
+        fired = first()
         while fired is not None and (
             (finer := self._tolerance(guard, segment, fired.tau, segment(fired.tau)))
             < 0.5 * tolerance
         ):
             # the step ends there: what the state beyond may lose hides no earlier zero
             tolerance, self.ends, grazes[many:] = finer, dict(ends), []
-            found = zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise)
-            earlier = self._first_zero(index, found, segment, stepper.x, tolerance, grazes)
+            earlier = first()
             fired = earlier if earlier is not None and earlier.tau < fired.tau else fired
         fired = fired or self._last(index, segment, stepper.x)
         if fired is not None:
