@@ -1,4 +1,5 @@
-"""Impacts at one instant of contacts that touch: their maps, and the limit if they never end.
+"""Impacts at one instant, of contacts that touch or are as good as closed: their maps, and the
+limit if they never end.
 
 See :mod:`hybrid.zeno.instant`.
 """
@@ -15,7 +16,7 @@ from ..lowering import Guard, Scene
 from ..rules.guards import NEAR
 from ..rules.zeros import EPS
 from ..zeno.cycle import CycleLimit
-from ..zeno.instant import impulses, shrinking
+from ..zeno.instant import Impacts, shrinking
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -43,8 +44,8 @@ class Touching:
         For each contact, the change of the state that changes its gap speed by 1.
     gain : array, shape (contacts, contacts)
         The changes of all gap speeds by these.
-    speeds, laws : list of float
-        Gap speeds (zero where they are rounding) and restitutions.
+    gaps, speeds, laws : list of float
+        Gaps and gap speeds (zero where they are rounding) and restitutions.
     open : float
         The rounding of the gaps: lower flights may be hidden in the instant.
     """
@@ -52,6 +53,7 @@ class Touching:
     guards: list[Guard]
     pushes: np.ndarray
     gain: np.ndarray
+    gaps: list[float]
     speeds: list[float]
     laws: list[float]
     open: float
@@ -65,28 +67,33 @@ def collapse(scene: Scene, mode: str, recent: Sequence[Seen], t_error: float) ->
     t, x = recent[-1].t, recent[-1].x
     if not all(scene.is_contact(seen.edge) for seen in recent):
         return None
-    found = touching(scene, mode, t, x)
-    turn = None if found is None else shrinking(found.gain, found.laws, found.speeds)
-    if found is None or turn is None:
+    found = touching(scene, mode, t, x, t_error)
+    if found is None:
         return None
-    struck = list(turn.struck)
-    x_inf = x + impulses(found.gain, struck, found.speeds) @ found.pushes[struck]
+    turn = shrinking(Impacts(found.gain, found.laws, found.gaps, found.speeds), t_error)
+    if turn is None:
+        return None
+    x_inf = x + turn.changes @ found.pushes
     error = np.full(len(x), 64 * EPS * max(np.abs(seen.x).max() for seen in recent))
-    edges = tuple(found.guards[i].edge for i in struck)
-    fast = float(np.abs(_speeds([found.guards[i] for i in struck], t, recent[0].x)).max())
+    edges = tuple(found.guards[i].edge for i in turn.struck)
+    fast = float(np.abs(_speeds([found.guards[i] for i in turn.struck], t, recent[0].x)).max())
     late = HIDDEN_CAUTION * found.open / (fast * (1.0 - turn.ratio)) if fast else np.inf
     return CycleLimit(edges, 0.0, x_inf, turn.ratio, t_error + late, error, len(recent))
 
 
-def touching(scene: Scene, mode: str, t: float, x: StateVector) -> Touching | None:
-    """The contacts of a mode that touch.
+def touching(scene: Scene, mode: str, t: float, x: StateVector, instant: float) -> Touching | None:
+    """The contacts of a mode that touch, or whose gaps are crossed within an instant.
 
     None if impacts do not change gap speeds by constant shares: another guard depends on what they
     change, or a restitution depends on the speed.
     """
     field, state = scene.field(mode), x.tolist()
     contacts = [guard for guard in field.guards if guard.kind == "contact"]
-    near = [guard.edge for guard in contacts if _closed(scene, mode, guard, t, state)]
+    reach = instant * np.abs(_speeds(contacts, t, x)).max(initial=0.0)
+    low = {guard.edge: _rounding(scene, mode, guard, t, state) for guard in contacts}
+    values = {guard.edge: guard.value(t, state) for guard in contacts}
+    near = [name for name, gap in values.items() if abs(gap) <= max(low[name], reach)]
+    gaps = [values[name] if values[name] > low[name] else 0.0 for name in near]
     guards = [guard for guard in scene.field(mode, near).guards if guard.edge in near]
     pushes = np.array([scene.contact(name).push(t, state) for name in near]).reshape(len(near), -1)
     noise = [64 * EPS * scene.rounding(guard, field)(t, state)[1] for guard in guards]
@@ -105,13 +112,12 @@ def touching(scene: Scene, mode: str, t: float, x: StateVector) -> Touching | No
     if bends > NEAR * size:
         return None
     known = [law for law in laws if law is not None]
-    low = max(64 * EPS * scene.rounding(guard, field)(t, state)[0] for guard in guards)
-    return Touching(guards, pushes, gain, speeds.tolist(), known, low)
+    return Touching(guards, pushes, gain, gaps, speeds.tolist(), known, max(low[n] for n in near))
 
 
-def _closed(scene: Scene, mode: str, guard: Guard, t: float, x: list[float]) -> bool:
-    size = scene.rounding(guard, scene.field(mode))(t, x)[0]
-    return bool(abs(guard.value(t, x)) <= 64 * EPS * size)
+def _rounding(scene: Scene, mode: str, guard: Guard, t: float, x: list[float]) -> float:
+    """The rounding of a gap."""
+    return float(64 * EPS * scene.rounding(guard, scene.field(mode))(t, x)[0])
 
 
 def _speeds(guards: Sequence[Guard], t: float, x: StateVector) -> np.ndarray:

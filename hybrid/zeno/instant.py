@@ -1,15 +1,20 @@
 """Infinitely many impacts at one instant, in a group of touching bodies with large losses.
 
-No time passes and nothing moves. Each impact changes the gap speeds ``u`` of the touching contacts,
-and the next impact is at the first declared contact with negative ``u``. With constant restitution
-this map is the same at every scale. If the speeds return to a multiple of themselves with a factor
-below 1, they do so forever, and the limit follows without the sequence: impulses at the contacts
-struck in a turn bring their speeds to zero.
+Each impact changes the gap speeds ``u`` of the contacts, in proportion to the speed of the one that
+is struck. Between two impacts gaps change by ``u`` times the time, which is less than can be told
+from zero: forces do nothing. The next impact is at the contact whose gap closes first, and of those
+that are closed at the first declared one. With constant restitution this map is the same at every
+scale. If nothing moves and the speeds return to a multiple of themselves, with a factor below 1,
+they do so forever. Otherwise, impacts are followed until their speeds have decayed to nothing.
+
+Either way the limit does not depend on the sequence: impulses at the contacts that are struck over
+and over bring their speeds to zero, and there is one such state.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import attrs
 import numpy as np
@@ -22,17 +27,40 @@ MOST_IMPACTS = 1 << 16
 #: turn.
 SPEEDS_ALIKE, SPEEDS_FALL = 1e-10, 1.0 - 1e-6
 
+#: Speeds have decayed to nothing at this share of the first: so late that a slow approach to a
+#: recurrence is found before, and still far from where numbers end.
+DECAYED = 1e-150
+
 
 @attrs.frozen(eq=False)
 class Shrinking:
-    """Impacts that recur forever: contacts struck in a turn, and ratio of speeds per turn."""
+    """Impacts at one instant that never end.
 
-    struck: tuple[int, ...]
+    Attributes
+    ----------
+    struck : list of int
+        The contacts that are struck over and over, and stay closed.
+    ratio : float
+        The ratio of speeds per turn; per impact where no turn recurs.
+    changes : array, shape (n,)
+        By how much the own impacts of each contact change its gap speed.
+    """
+
+    struck: list[int]
     ratio: float
+    changes: np.ndarray
 
 
-def shrinking(gain: np.ndarray, laws: Sequence[float], speeds: Sequence[float]) -> Shrinking | None:
-    """The recurring impacts at one instant; None if they end, or no recurrence is found.
+class Now(NamedTuple):
+    """Gaps, gap speeds, and the time elapsed."""
+
+    gaps: list[float]
+    speeds: list[float]
+    elapsed: float
+
+
+class Impacts:
+    """Impacts of touching bodies, one after another, in the order in which their gaps close.
 
     Parameters
     ----------
@@ -40,54 +68,217 @@ def shrinking(gain: np.ndarray, laws: Sequence[float], speeds: Sequence[float]) 
         ``gain[i, j]``: change of gap speed ``i`` by an impulse that changes gap speed ``j`` by 1.
     laws : sequence of float
         Restitution coefficients.
-    speeds : sequence of float
-        Gap speeds.
+    gaps, speeds : sequence of float
+        Gaps (0 where they are rounding) and gap speeds.
+
+    Attributes
+    ----------
+    changes : array, shape (n,)
+        By how much the own impacts of each contact have changed its gap speed so far.
     """
-    count, u = len(speeds), list(speeds)
-    felt = [
-        [(i, float(gain[i, j]) * (1.0 + laws[j])) for i in range(count) if gain[i, j]]
-        for j in range(count)
-    ]
-    seen: list[int] = []  # contacts struck since the mark, whose speeds are known
-    known, turn = list(u), 1
-    for _ in range(MOST_IMPACTS):
-        j = next((i for i in range(count) if u[i] < 0.0), None)
-        if j is None:
+
+    def __init__(
+        self,
+        gain: np.ndarray,
+        laws: Sequence[float],
+        gaps: Sequence[float],
+        speeds: Sequence[float],
+    ) -> None:
+        self.gaps, self.speeds, self.elapsed = list(gaps), list(speeds), 0.0
+        self.least, self.changes = DECAYED * max(map(abs, speeds)), np.zeros(len(laws))
+        self._laws, self._gain = laws, gain
+        self._felt = [[(i, g) for i, g in enumerate(own) if g] for own in gain.T.tolist()]
+
+    def next(self) -> tuple[int, float] | None:
+        """The contact that is struck next, and how long that takes; None if there is none with a
+        speed that has not decayed."""
+        found: tuple[int, float] | None = None
+        for i, (gap, speed) in enumerate(zip(self.gaps, self.speeds, strict=True)):
+            if speed < -self.least and (found is None or gap < -speed * found[1]):
+                found = i, gap / -speed
+        return found
+
+    def now(self) -> Now:
+        """How things are."""
+        return Now(list(self.gaps), list(self.speeds), self.elapsed)
+
+    def go_on(self, wait: float) -> None:
+        """Let time pass without an impact."""
+        if wait > 0.0:
+            self.gaps = [gap + wait * u for gap, u in zip(self.gaps, self.speeds, strict=True)]
+            self.elapsed += wait
+
+    def strike(self, j: int, wait: float) -> None:
+        """Go on to an impact, and past it. A speed after it that has decayed counts as zero: the
+        contact stays closed."""
+        self.go_on(wait)
+        after = -self._laws[j] * self.speeds[j]
+        change = (after if after > self.least else 0.0) - self.speeds[j]
+        for i, share in self._felt[j]:
+            self.speeds[i] += share * change
+        self.gaps[j], self.speeds[j] = 0.0, self.speeds[j] if after > self.least else 0.0
+        self.changes[j] += change
+
+    def rest(self, struck: list[int]) -> None:
+        """Bring contacts to rest, by impulses of their own."""
+        changes, u = self._impulses(struck)
+        self.changes[struck] += changes
+        u[struck] = 0.0
+        self.speeds = u.tolist()
+        for i in struck:
+            self.gaps[i] = 0.0
+
+    def stay(self, struck: list[int], wait: float) -> bool:
+        """Whether no other contact is struck before some come to rest, which takes a time. Of those
+        closed at once the first declared is struck."""
+        _, u = self._impulses(struck)
+        left = np.array(self.gaps) + np.minimum(u, self.speeds) * wait
+        others = [i for i in range(len(u)) if i not in struck]
+        return all(left[i] > 0.0 or u[i] >= 0.0 or i > struck[-1] for i in others)
+
+    def stands(self, group: Sequence[int]) -> bool:
+        """Whether contacts are closed and have no speed."""
+        return not any(self.gaps[i] or self.speeds[i] for i in group)
+
+    def closed(self) -> list[int]:
+        """The contacts struck that are closed now, with no speed that has not decayed."""
+        closed = np.flatnonzero((self.changes != 0.0) & (np.array(self.gaps) == 0.0))
+        small = np.abs(np.array(self.speeds)[closed]) <= len(closed) * self.least
+        return closed[small].tolist()  # type: ignore[no-any-return]
+
+    def _impulses(self, struck: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        """The changes of speed, one per struck contact, that together bring these contacts to
+        rest; and all speeds after these."""
+        speeds = np.array(self.speeds)
+        among = self._gain[np.ix_(struck, struck)]
+        changes = np.linalg.lstsq(among, -speeds[struck], rcond=None)[0]
+        return changes, speeds + self._gain[:, struck] @ changes
+
+
+def shrinking(impacts: Impacts, instant: float) -> Shrinking | None:
+    """The impacts at one instant that never end; None if they do, or it cannot be told.
+
+    Contacts whose impacts recur forever are brought to rest. Another that is struck next may set
+    off more, which may recur as well; if it opens those again, these are the first to rest alone.
+
+    Parameters
+    ----------
+    impacts : Impacts
+    instant : float
+        The time within which they must happen.
+    """
+    turns, groups, first, ratio = Turns(impacts), Groups(), None, 0.0
+    for count in range(MOST_IMPACTS):
+        found = impacts.next()
+        if found is None or impacts.elapsed + found[1] > instant:
+            closed = impacts.closed()
+            if not closed or (first is not None and not set(first.struck) <= set(closed)):
+                break
+            impacts.rest(closed)
+            return Shrinking(closed, ratio or DECAYED ** (1.0 / count), impacts.changes)
+        recurring = turns.recurring(found[0])
+        if recurring is not None:
+            struck, ratio, rest = recurring
+            impacts.go_on(rest)
+            impacts.rest(struck)
+            first = first or Shrinking(struck, ratio, impacts.changes.copy())
+            groups.add(struck)
+            turns = Turns(impacts)
+            continue
+        turns.add(found[0], groups.strike(impacts, *found))
+    return first
+
+
+class Turns:
+    """Finds impacts that recur, by Brent's method: each mark holds twice as long as the last."""
+
+    def __init__(self, impacts: Impacts) -> None:
+        self._impacts, self._turn = impacts, 1
+        self._set_mark()
+
+    def _set_mark(self) -> None:
+        self._seen: list[int] = []  # the contacts struck since
+        self._mark = self._impacts.now()
+
+    def add(self, struck: int, others: Sequence[int]) -> None:
+        """Note an impact, and those that come of it."""
+        self._seen += [struck, *others]
+        if len(self._seen) > self._turn:
+            self._turn *= 2
+            self._set_mark()
+
+    def recurring(self, following: int) -> tuple[list[int], float, float] | None:
+        """The contacts whose impacts recur, with falling speed; the ratio of speeds per turn; and
+        how long they take. None if they do not.
+
+        Parameters
+        ----------
+        following : int
+            The contact that is struck next.
+        """
+        if not self._seen or following != self._seen[0]:
             return None
-        if seen and j == seen[0]:
-            struck = sorted(set(seen))
-            ratio = _ratio([known[i] for i in struck], [u[i] for i in struck])
-            if ratio < SPEEDS_FALL and _stays(gain, struck, u):
-                period = _period(seen)
-                return Shrinking(tuple(struck), ratio ** (period / len(seen)))
-        if len(seen) == turn:  # Brent's cycle detection: the next mark holds twice as long
-            seen, known, turn = [], list(u), 2 * turn
-        seen.append(j)
-        change = u[j]
-        for i, share in felt[j]:
-            u[i] -= share * change
-    return None
+        struck = sorted(set(self._seen))
+        fall, rest = _recurs(self._mark, self._impacts.now(), struck)
+        if not (fall < SPEEDS_FALL and self._impacts.stay(struck, rest)):
+            return None
+        return struck, fall ** (_period(self._seen) / len(self._seen)), rest
 
 
-def impulses(gain: np.ndarray, struck: Sequence[int], speeds: Sequence[float]) -> np.ndarray:
-    """The changes of speed, one per struck contact, that together bring these contacts to rest."""
-    among = gain[np.ix_(struck, struck)]
-    wanted = -np.array(speeds)[list(struck)]
-    return np.asarray(np.linalg.lstsq(among, wanted, rcond=None)[0])
+class Groups:
+    """Groups of contacts that have come to rest together by impacts without end.
+
+    Whether one does so once more after an impact beside it depends on that contact only: at rest
+    it has no speeds of its own, and impacts are the same at every scale.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[int, ...], set[int]] = {}
+        self._tried: tuple[tuple[int, ...], int] | None = None
+
+    def add(self, struck: list[int]) -> None:
+        """Note a group that has come to rest."""
+        known = self._known.setdefault(tuple(struck), set())
+        if self._tried is not None and self._tried[0] == tuple(struck):
+            known.add(self._tried[1])
+        self._tried = None
+
+    def strike(self, impacts: Impacts, j: int, wait: float) -> tuple[int, ...]:
+        """Make an impact; beside a group of which it is known that it comes to rest again, those of
+        that group, too. Returns the group."""
+        if self._tried is not None and j not in self._tried[0]:
+            self._tried = None
+        beside = [group for group in self._known if j not in group and impacts.stands(group)]
+        group = max(beside, key=len, default=())
+        impacts.strike(j, wait)
+        if not group:
+            return ()
+        if j in self._known[group] and impacts.stay(list(group), 0.0):
+            impacts.rest(list(group))
+            return group
+        self._tried = group, j
+        return ()
+
+
+def _recurs(before: Now, now: Now, struck: list[int]) -> tuple[float, float]:
+    """The ratio of the speeds of some contacts after a turn, infinity if these and their gaps do
+    not recur; and how long all turns that follow take."""
+    fall = _ratio([before.speeds[i] for i in struck], [now.speeds[i] for i in struck])
+    lower = _ratio([before.gaps[i] for i in struck], [now.gaps[i] for i in struck])
+    length = now.elapsed - before.elapsed
+    if length == 0.0 or not lower < fall:
+        return (fall, 0.0) if length == 0.0 else (np.inf, 0.0)
+    return fall, length * lower / (fall - lower)
 
 
 def _ratio(before: list[float], now: list[float]) -> float:
-    """The ratio of two speed vectors of the same direction; infinity if directions differ."""
+    """The ratio of two vectors of the same direction, 0 for zeros; infinity if directions
+    differ."""
     first, last = max(map(abs, before)), max(map(abs, now))
+    if not (first and last):
+        return np.inf if last else 0.0
     same = all(abs(a / first - b / last) <= SPEEDS_ALIKE for a, b in zip(before, now, strict=True))
-    return last / first if same else float("inf")
-
-
-def _stays(gain: np.ndarray, struck: list[int], speeds: list[float]) -> bool:
-    """Whether no contact declared earlier than one of those struck would be struck as well."""
-    left = np.array(speeds) + gain[:, struck] @ impulses(gain, struck, speeds)
-    others = [i for i in range(struck[-1]) if i not in struck]
-    return all(left[i] >= 0.0 for i in others)
+    return last / first if same else np.inf
 
 
 def _period(seen: list[int]) -> int:
