@@ -1,10 +1,10 @@
 """Infinitely many impacts at one instant, in a group of touching bodies with large losses.
 
-No time passes and nothing moves. Each impact changes the gap speeds ``u`` of the touching contacts,
-and the next impact is at the first declared contact with negative ``u``. With constant restitution
-this map is the same at every scale. If the speeds return to a multiple of themselves with a factor
-below 1, they do so forever, and the limit follows without the sequence: impulses at the contacts
-struck in a turn bring their speeds to zero.
+No time passes and the positions stay constant. Each impact changes the gap speeds ``u`` of the
+touching contacts, and the next impact is at the first declared contact with negative ``u``. With
+constant restitution this map is homogeneous of degree one. If the speeds return to a multiple of
+themselves with a factor below 1, they do so forever. Their limit is then found directly: impulses
+at the contacts struck in a turn bring the gap speeds of these contacts to zero.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ import numpy as np
 #: Most impacts made to detect a recurrence; they take a tenth of a second.
 MOST_IMPACTS = 1 << 16
 
-#: How closely speeds must recur, and the factor by which they must shrink. The map of a turn is a
-#: product of a few hundred factors at most, and components in other directions decay from turn to
-#: turn.
+#: Tolerance with which the direction of the speeds must recur, and the factor by which they must
+#: shrink. The map of a turn is a product of a few hundred factors at most, and components in other
+#: directions decay from turn to turn.
 SPEEDS_ALIKE, SPEEDS_FALL = 1e-10, 1.0 - 1e-6
 
 
 @attrs.frozen(eq=False)
 class Shrinking:
-    """Impacts that recur forever: contacts struck in a turn, and ratio of speeds per turn."""
+    """Impacts that recur forever: indices of the contacts struck in a turn, and the ratio of the
+    gap speeds of successive turns."""
 
     struck: tuple[int, ...]
     ratio: float
 
 
 def shrinking(gain: np.ndarray, laws: Sequence[float], speeds: Sequence[float]) -> Shrinking | None:
-    """The recurring impacts at one instant; None if they end, or no recurrence is found.
+    """Find the recurring impacts at one instant; None if they end, or no recurrence is found.
 
     Parameters
     ----------
@@ -41,7 +42,7 @@ def shrinking(gain: np.ndarray, laws: Sequence[float], speeds: Sequence[float]) 
     laws : sequence of float
         Restitution coefficients.
     speeds : sequence of float
-        Gap speeds.
+        Gap speeds before the first of these impacts.
     """
     count, u = len(speeds), list(speeds)
     felt = [
@@ -70,7 +71,8 @@ def shrinking(gain: np.ndarray, laws: Sequence[float], speeds: Sequence[float]) 
 
 
 def impulses(gain: np.ndarray, struck: Sequence[int], speeds: Sequence[float]) -> np.ndarray:
-    """The changes of speed, one per struck contact, that together bring these contacts to rest."""
+    """The impulse at each struck contact, as its change of gap speed, that together bring the gap
+    speeds of these contacts to zero."""
     among = gain[np.ix_(struck, struck)]
     wanted = -np.array(speeds)[list(struck)]
     return np.asarray(np.linalg.lstsq(among, wanted, rcond=None)[0])
@@ -84,7 +86,7 @@ def _ratio(before: list[float], now: list[float]) -> float:
 
 
 def _stays(gain: np.ndarray, struck: list[int], speeds: list[float]) -> bool:
-    """Whether no contact declared earlier than one of those struck would be struck as well."""
+    """Whether, at the limit, no other contact declared before the last struck one is struck."""
     left = np.array(speeds) + gain[:, struck] @ impulses(gain, struck, speeds)
     others = [i for i in range(struck[-1]) if i not in struck]
     return all(left[i] >= 0.0 for i in others)
