@@ -1,1 +1,1 @@
-"""Rigorous readers of the trace: outward-rounded bounds on expressions and on errors."""
+"""Rigorous bounds, rounded outward, on traced expressions and on the errors of steps."""

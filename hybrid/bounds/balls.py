@@ -56,7 +56,7 @@ def hull(*balls: Any) -> Any:
 
 
 def number(value: Any) -> Any:
-    """A constant of a graph, or a bound, as a value."""
+    """A constant of a graph, or a bound, as one of the values of this module."""
     if isinstance(value, bool | arb):
         return value
     return Undefined("the constant nan") if value != value else arb(value)
@@ -171,7 +171,10 @@ def _rem(a: Any, b: Any) -> Any:
 
 
 def rising(function: Callable[[Any], Any], least: float | None = None, open_: bool = False) -> Any:
-    """A monotone function on its domain, from its values at the ends."""
+    """The operation on balls of a monotone function, from its values at the ends of a ball.
+
+    ``least`` is the lower end of the domain, excluded if ``open_``.
+    """
 
     def apply(x: Any) -> Any:
         a, b = ends(x)
@@ -183,7 +186,7 @@ def rising(function: Callable[[Any], Any], least: float | None = None, open_: bo
 
 
 def _bounded(function: Callable[[Any], Any], open_: bool = False) -> Any:
-    """A monotone function on [-1, 1]."""
+    """The operation on balls of a monotone function on [-1, 1], or (-1, 1) if ``open_``."""
     inner = rising(function)
 
     def apply(x: Any) -> Any:
@@ -195,7 +198,7 @@ def _bounded(function: Callable[[Any], Any], open_: bool = False) -> Any:
 
 
 def _stepwise(function: Callable[[Fraction], int]) -> Any:
-    """A nondecreasing integer-valued function."""
+    """The operation on balls of a nondecreasing integer-valued function."""
     return rising(lambda v: arb(function(_fraction(v))))
 
 
@@ -233,7 +236,7 @@ def _atan2(y: Any, x: Any) -> Any:
 
 
 def _cut(y: Any, x: Any) -> bool:
-    """Whether the half-line on which ``atan2`` jumps, or the origin, may be met."""
+    """Whether the balls may contain the half-line on which ``atan2`` jumps, or the origin."""
     above, below = y.lower() > 0, y.upper() < 0
     return not (above or below or x.lower() > 0 or (y.lower() >= 0 and not x.contains(0)))
 
@@ -350,7 +353,7 @@ _steps = {
     for n in ("floor", "ceil", "round", "away", "trunc")
 }
 
-#: Operations for which an infinite constant is meaningful.
+#: Operations that accept an infinite argument.
 LIMITS = {"select", "max", "min", "is_finite", "gt", "ge", "lt", "le", "eq", "ne"}
 
 #: Whether an operation may jump while its arguments vary over the balls.

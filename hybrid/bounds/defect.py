@@ -1,9 +1,9 @@
 """How far along a step its polynomial provably follows the flow, in ball arithmetic.
 
 The defect of a step's polynomial ``p`` is ``f(t, p(t)) - p'(t)``. A method and its error estimate
-evaluate it at a few points only, so both can miss a force pulse between them. Here the defect is
-bounded on the whole step, by power series of balls (:mod:`.series`) on pieces. Pieces are halved
-until the bound is small or a point shows that the defect is not.
+evaluate the flow at a few points only, so both can miss a force pulse between them. Here the defect
+is bounded on the whole step, by power series of balls (:mod:`.series`) on pieces. Pieces are halved
+until the bound is small or the defect at a point is shown to be large.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ DEFECT_PIECES = 400
 #: the samples. A Runge-Kutta defect has zeros and is at most about five times the median.
 DEFECT_PLACES, ABOVE_MEDIAN = (np.arange(15) + 0.5) / 15, 32.0
 
-#: Samples of a step for a flow without enclosure; each is a call of some ten microseconds. Effects
-#: shorter than the distance between samples may be missed.
+#: Samples of a step for a flow without enclosure; each is a call of some ten microseconds. An
+#: effect shorter than the distance between samples may be missed.
 FLOW_SAMPLES = 256
 
 #: Tolerated error of a step's polynomial between its ends, relative to the tolerance at its end.
-#: Interpolants of one order less are off by some hundred tolerances at 1e-12.
+#: Interpolants of one order less than the method have errors of some hundred tolerances at 1e-12.
 LOOSE = 1e3
 
 #: Rounding of the flow and of the polynomial's slope, relative to the rates and to the state over
@@ -98,7 +98,7 @@ class Defect:
         coefficients : array, shape (degree + 1, n)
             Chebyshev coefficients of the states on it.
         lost : float or array
-            Tolerated loss of each state in the step.
+            Tolerated error of each state element from the step.
         """
         from .interval import PRECISION
         from .series import with_terms
@@ -109,15 +109,19 @@ class Defect:
         return 1.0 if (1.0 - share) * length <= 64 * EPS * max(length, abs(t)) else share
 
     def left_open(self, field: Field, t: float, x: StateVector, off: StateVector) -> StateVector:
-        """Uncertainty of the rates when time, states and operations are known to rounding only.
+        """Uncertainty of the flow when time, states and operations are known to rounding only.
 
-        Where a formula may change, both rates are included; where one is undefined, the result is
-        0.
+        Where a formula may change, both flows are included; an element that may be undefined has
+        uncertainty 0.
 
         Parameters
         ----------
         off : array
-            Uncertainty of each state.
+            Uncertainty of each state element.
+
+        Returns
+        -------
+        array, shape (n,)
         """
         from flint import arb, ctx
 
@@ -132,7 +136,7 @@ class Defect:
         return np.array([2.0 * float(rate.rad()) for rate in rates])
 
     def _bound_to(self, field: Field, series: bool) -> Bound:
-        """The flow with parameter values, at flint's present precision."""
+        """The flow with parameter values, at flint's present precision, for series or balls."""
         key = "balls", self, series
         found: Bound = field.once(key, lambda: self.balls.bind(field.numbers, series))
         return found
@@ -191,7 +195,7 @@ class Defect:
         return np.where(np.isfinite(most), most, inf), least
 
     def _plainly(self, field: Field, piece: _StepPart, around: Matrix) -> Numbers:
-        """An upper bound from a box, for a flow without a series on the piece."""
+        """An upper bound on the defect from one box around the piece, where there is no series."""
         from flint import arb
 
         slopes = _slope(piece.powers) / float(piece.half)
@@ -206,7 +210,7 @@ class Defect:
 
 
 class Sampled:
-    """The defect of a flow with foreign calls, at samples of a step: it has no enclosure."""
+    """The defect at samples of a step, for a flow with foreign calls, which has no enclosure."""
 
     def share(
         self, field: Field, t: float, length: float, coefficients: Matrix, lost: Any = 0.0
@@ -223,15 +227,15 @@ class Sampled:
         return 1.0
 
     def left_open(self, field: Field, t: float, x: StateVector, off: StateVector) -> StateVector:
-        """Zero: nothing is known of the rounding of such a flow."""
+        """Zeros: the effect of rounding on such a flow is not known."""
         return np.zeros_like(x)
 
 
 def defect_of(field: Field) -> Defect | Sampled | None:
-    """The defect bounds of a field; None if there are none.
+    """The defect bounds of a field, or None.
 
-    There are none if the flow is kept on a surface, which no step polynomial is, or if python-flint
-    is missing.
+    None if states are projected onto a surface, which step polynomials leave; if an operation has
+    no enclosure; or if python-flint is missing.
     """
     if field.project is not None:
         return None
@@ -251,7 +255,8 @@ def defect_of(field: Field) -> Defect | Sampled | None:
 
 
 def follows(field: Field, t: float, segments: Iterable[Segment]) -> bool:
-    """Whether all segments of an arc from ``t`` follow the flow, as far as can be shown."""
+    """Whether the segments of an arc from ``t`` provably follow the flow; True if there are no
+    defect bounds."""
     defect = defect_of(field)
     return defect is None or all(
         defect.share(field, t + s.start, s.length, s.coefficients) >= 1.0 for s in segments
@@ -259,6 +264,7 @@ def follows(field: Field, t: float, segments: Iterable[Segment]) -> bool:
 
 
 def _share(piece: _StepPart, start: Any, length: float) -> float:
+    """The fraction of a step at which a piece starts."""
     return max(0.0, float(piece.middle - piece.half - start) / length)
 
 
@@ -268,7 +274,8 @@ def _numbers(field: Field) -> dict[str, Any]:
 
 
 def _inputs(piece: _StepPart, around: Matrix | None) -> dict[str, Any]:
-    """Time and states as series on a piece, about its middle or as balls over all of it."""
+    """Time and states as series on a piece: about its middle, or, with the amounts ``around`` by
+    which coefficients vary over the piece, about any point of it."""
     from flint import arb, arb_series
 
     from .series import TERMS
@@ -297,7 +304,7 @@ def _coefficients(value: Any) -> list[Any] | None:
 
 
 def _slope(powers: Matrix) -> Matrix:
-    """Coefficients of the derivatives, padded to at least ``TERMS`` rows."""
+    """Coefficients of the derivatives of polynomials, padded to at least ``TERMS`` rows."""
     from .series import TERMS
 
     degree = len(powers) - 1
@@ -309,10 +316,10 @@ def _slope(powers: Matrix) -> Matrix:
 def _allowed(
     field: Field, t: float, length: float, coefficients: Matrix, lost: Any
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tolerated defects of a step, and the tolerated change of the state over any part of it.
+    """Tolerated defects of a step, and the tolerated integral of the defect over any part of it.
 
     The former follow from the median of the sampled defects, the tolerance and rounding; the latter
-    is rounding.
+    is at rounding level.
     """
     n = coefficients.shape[1]
     degree = len(coefficients) - 1
@@ -349,7 +356,7 @@ def _halving(degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _spread(degree: int) -> np.ndarray:
-    """Matrix from absolute coefficients to how far each coefficient moves as the expansion point
-    varies over the piece."""
+    """Matrix from absolute coefficients on ``[-1, 1]`` about 0 to bounds on the changes of the
+    coefficients when the polynomial is expanded about another point of ``[-1, 1]``."""
     size = range(degree + 1)
     return np.array([[float(comb(k, j)) if k > j else 0.0 for k in size] for j in size])

@@ -1,7 +1,7 @@
-"""A graph without rounded constants, for readers that prove.
+"""A graph without rounded constants, for proofs.
 
-An operation on constants is folded only if its result is exact. With the parameters inserted as
-constants, terms multiplied by a parameter that is 0 vanish.
+An operation on constants is replaced by its result only if the result is exact. With the parameters
+inserted as constants, terms multiplied by a parameter that is 0 vanish.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ TOTAL = EXACT_OPERATIONS | {
 
 
 class FixedGraph(Graph):
-    """A graph in which constants stay as exact as they were written.
+    """A graph in which constants are not rounded.
 
-    ``0 * a`` becomes 0 if ``a`` is certainly finite. With ``exact=False`` it always does, and so do
-    ``0 / a`` and a choice between zeros: this is right for a derivative, where only true dependence
-    counts.
+    ``0 * a`` becomes 0 if ``a`` is certainly finite. With ``exact=False`` it always becomes 0, and
+    so do ``0 / a`` and a choice between zeros: this is right for a derivative, which is needed only
+    where the function is defined.
     """
 
     def _simplify(self, key: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -64,7 +64,7 @@ class FixedGraph(Graph):
 
 
 def _vanishes(op: str, values: Sequence[Any]) -> bool:
-    """Whether a derivative composed of these values is zero wherever it exists."""
+    """Whether an operation with these arguments, None if not constant, is zero where defined."""
     if op == "div":
         return bool(values[0] == 0)
     return op == "select" and bool(values[1] == 0 and values[2] == 0)
@@ -99,7 +99,8 @@ def _hides(jaxpr: Any) -> bool:
 
 
 def _solves(jaxpr: Any, factors: Any) -> bool:
-    """Whether an equation computes factors that only serve to solve equations."""
+    """Whether an equation of a jaxpr computes the factors of a matrix, and these are only used to
+    solve linear systems. False for None."""
     names = {factors.primitive.name} if factors is not None else set()
     names |= {e.primitive.name for part in _inner(factors) for e in part.eqns} if names else set()
     users = _users(jaxpr, factors) if names & {"lu", "cholesky"} else [None]

@@ -70,9 +70,10 @@ class Extreme:
     Attributes
     ----------
     at : dict
-        The point that attains the inner bound; only coordinates on which the expression depends.
+        The best point found: the value there is the bound from inside. Contains only coordinates on
+        which the expression depends.
     reason : str
-        Why a bound is infinite.
+        Why a bound is infinite; else empty.
     """
 
     low: float
@@ -111,7 +112,10 @@ def supremum(
     sign: int = 1,
     effort: int = EFFORT,
 ) -> Extreme:
-    """The supremum of ``sign`` times an expression on a box."""
+    """The supremum of ``sign`` times an expression on a box; see :func:`extrema`.
+
+    ``effort`` is the most divisions of sub-boxes, times the number of nodes.
+    """
     search = _Search(function, sign)
     whole = {name: box[name] for name in sorted(function.inputs)}
     search.add(whole)
@@ -142,7 +146,7 @@ def _popped(queue: list[Box]) -> Iterable[Box]:
 
 
 class _Search:
-    """Open sub-boxes, ordered by upper bound, and the best value at a point."""
+    """The search: open sub-boxes ordered by upper bound, and the best value at a point."""
 
     def __init__(self, function: ScalarFunction, sign: int) -> None:
         self.function, self.sign = function, sign
@@ -152,10 +156,12 @@ class _Search:
         self._count = itertools.count()
 
     def closed(self, tolerance: float) -> bool:
+        """Whether the bounds of the supremum agree up to a tolerance."""
         top = -self.open[0][0]
         return top - self.best <= tolerance * max(1.0, abs(self.best))
 
     def divide(self) -> None:
+        """Halve the sub-box with the largest upper bound."""
         _, _, part = heapq.heappop(self.open)
         for half in _halves(part):
             self.add(half)
@@ -171,7 +177,7 @@ class _Search:
             heapq.heappush(self.open, (-top, next(self._count), part))
 
     def sample(self, point: dict[str, float]) -> Any:
-        """The value at a point, recorded if it is the best."""
+        """The value at a point as a ball, recorded if it is the best; None if undefined."""
         from .balls import low
 
         value = self.function.at(point)
@@ -196,13 +202,14 @@ class _Search:
         return top, part, slopes if all(name in slopes for name in part) else None
 
     def face(self, bounds: Bounds, slope: Any) -> Bounds:
-        """The end towards which the expression grows, if its slope has one sign."""
+        """The bounds of a coordinate, reduced to the better end if the slope has one sign."""
         if slope is None or bounds[0] == bounds[1] or not (slope >= 0 or slope <= 0):
             return bounds
         end = bounds[1] if (slope >= 0) == (self.sign > 0) else bounds[0]
         return (end, end)
 
     def mean_value(self, value: Any, part: Box, point: dict[str, float], slopes: Any) -> float:
+        """An upper bound on a sub-box by the mean value form about a point."""
         from flint import ctx
 
         from .balls import BALLS, high

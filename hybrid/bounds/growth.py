@@ -1,4 +1,4 @@
-"""A reader of the trace: growth of an expression when some of its inputs are unbounded.
+"""Growth of a traced expression when some of its inputs are unbounded.
 
 Each node has a range, whose ends may be infinite, and growth exponents. With ``s`` the size of the
 *growing* inputs, the value is at most ``C (1 + s)^up`` and at least ``-C (1 + s)^down``, where
@@ -25,7 +25,7 @@ SLOWLY = 0.125
 
 @attrs.frozen
 class Growth:
-    """A range, and the growth exponents of its ends.
+    """The range of a value, and the growth exponents of its ends.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Growth:
 
     @property
     def positive(self) -> bool:
-        """Whether it is bounded below by a positive number."""
+        """Whether the value is bounded below by a positive number."""
         return self.low > 0.0
 
     @property
@@ -60,7 +60,7 @@ class Growth:
         return math.isfinite(self.low) and math.isfinite(self.high)
 
     def settled(self) -> Growth:
-        """The growth with exponents tightened by what the range implies."""
+        """The same growth, with exponents tightened where the range implies it."""
         up = min(self.up, 0.0) if self.high < math.inf else self.up
         down = min(self.down, 0.0) if self.low > -math.inf else self.down
         away = self.low > 0.0 or self.high < 0.0
@@ -69,21 +69,28 @@ class Growth:
         )
 
 
-#: An arbitrary input that does not grow: earlier states bound it in finite time.
+#: An input that is unbounded but does not count as growing: bounds on other states bound it in
+#: finite time.
 ANYTHING = Growth(-math.inf, math.inf)
 
-#: A growing input, one of several; for a single one, its upper and its lower half.
+#: One of several growing inputs; and the positive and the negative half of a single growing input.
 GROWING = Growth(-math.inf, math.inf, 1.0, 1.0)
 UPPER, LOWER = Growth(0.0, math.inf, 1.0, 0.0, 1.0), Growth(-math.inf, 0.0, 0.0, 1.0, 1.0)
 
 
 def between(least: float, most: float) -> Growth:
-    """An input between bounds."""
+    """The growth of an input between bounds."""
     return Growth(least, most).settled()
 
 
 def growth(graph: Graph, root: int, inputs: Mapping[str, Growth]) -> Any:
-    """The growth of a node; :class:`~.balls.Undefined` if it may not be defined."""
+    """The growth of a node of a graph.
+
+    Returns
+    -------
+    Growth, bool, None or Undefined
+        Truth values as in :mod:`.balls`; :class:`~.balls.Undefined` if the node may be undefined.
+    """
     values: dict[int, Any] = {}
     for number in needed(graph, [root]):
         op, *arguments = graph.nodes[number]
@@ -121,7 +128,7 @@ def _apply(op: str, places: list[int], args: list[Any]) -> Any:
 
 
 def _number(value: Any) -> Growth:
-    """A value as a growth, truth values included."""
+    """A value or truth value as a growth."""
     if isinstance(value, Growth):
         return value
     return between(0.0, 1.0) if value is None else between(float(value), float(value))
@@ -278,7 +285,7 @@ def _power_of_any(a: Growth, b: Growth) -> Any:
 
 
 def _within(least: float, most: float) -> Callable[..., Growth]:
-    """A function with values between given bounds, tightened by balls if possible."""
+    """The rule of a function with values between given bounds, tightened by balls if possible."""
 
     def rule(op: str, *args: Growth) -> Any:
         found = _by_balls(op, list(args))
@@ -290,7 +297,8 @@ def _within(least: float, most: float) -> Callable[..., Growth]:
 def _rises(
     limits: tuple[float, float], share: float = 1.0, domain: float = -math.inf, open_: bool = False
 ) -> Callable[..., Any]:
-    """A nondecreasing function with given limits; ``share`` multiplies its argument's exponents."""
+    """The rule of a nondecreasing function with given limits at the ends of its domain; ``share``
+    multiplies the exponents of its argument."""
 
     def rule(op: str, a: Growth) -> Any:
         if not (a.low > domain if open_ else a.low >= domain):
@@ -307,7 +315,7 @@ def _rises(
 
 
 def _exponential(limits: tuple[float, float]) -> Callable[..., Any]:
-    """A nondecreasing function that no power bounds."""
+    """The rule of a nondecreasing function that no power bounds."""
     plain = _rises(limits)
 
     def rule(op: str, a: Growth) -> Any:

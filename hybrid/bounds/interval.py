@@ -1,8 +1,7 @@
-"""A reader of the trace: rigorous bounds of its results over a box, in ball arithmetic.
+"""Rigorous bounds on the results of a traced graph over a box, in ball arithmetic.
 
 The graph is evaluated node by node on balls (:mod:`.balls`). For all numbers in the input balls,
-the result lies in the returned ball, rounding included. Constants and parameters are taken as exact
-floats.
+the exact result lies in the returned ball. Constants and parameters are taken as exact floats.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ class Undecided(Exception):
 
 
 def require_flint() -> None:
-    """Raise an error with the remedy if python-flint is missing."""
+    """Raise an :class:`.OptionError` that says what to install if python-flint is missing."""
     need("a proof", PROOFS)
 
 
@@ -52,14 +51,14 @@ def ball(bounds: Any) -> Any:
 
 @attrs.frozen
 class Enclosure:
-    """What is known of one root over a box.
+    """The enclosure of one root over a box.
 
     Attributes
     ----------
     value : arb, bool, None or Undefined
         See :mod:`.balls`.
     continuous : bool
-        Whether the box contains no switch, step or other jump of the expression.
+        Whether the expression provably has no switch, step or other jump in the box.
     """
 
     value: Any
@@ -139,7 +138,8 @@ class IntervalProgram:
         return [Enclosure(_finite(values[place]), not jumps[place]) for place in self._places]
 
     def ranges(self, box: Mapping[str, Any]) -> list[tuple[float, float]] | None:
-        """Cheaper bounds of the roots in doubles; None if they are inconclusive."""
+        """Bounds on the roots by interval arithmetic in doubles, which is faster; None if a root
+        may be undefined or an operation has no such bounds."""
         if self._ranges is None:
             return None
         given = [box[name] for name in sorted(self.inputs)]
@@ -165,9 +165,10 @@ class IntervalProgram:
     def ranged(
         self, among: Ranges, rows: Mapping[str, int], given: Mapping[str, float]
     ) -> int | None:
-        """Add this program to others for bounds; returns its number, None if it has none.
+        """Add this program to those for bounds in doubles.
 
-        ``rows`` maps inputs to rows of a box; the values of other inputs are in ``given``.
+        ``rows`` maps inputs to rows of a box; the values of other inputs are in ``given``. Returns
+        the number of the program; None if an operation has no such bounds.
         """
         return among.add(self._steps, self._places, rows, given)
 
@@ -192,7 +193,11 @@ class IntervalProgram:
 
 @attrs.frozen
 class _Step:
-    """A node prepared for evaluation: its rule, its test for jumps, its arguments' places."""
+    """A node prepared for evaluation.
+
+    ``places`` are those of its arguments, ``rule`` evaluates it, ``jumps`` tests whether it may
+    jump, and ``strict`` means that it needs finite arguments.
+    """
 
     op: str
     places: tuple[int, ...] = ()

@@ -1,9 +1,9 @@
-"""A reader of the trace: proofs that an expression is even or odd in some of its inputs.
+"""Proofs that a traced expression is even or odd in some of its inputs.
 
 Every expression has a normal form up to sign, ``(sign, term)``: arguments of sums, products and
 maxima are sorted and signs are moved outward (``sin(-a) = -sin(a)``, ``cos(-a) = cos(a)``). The
-expression is normalised as it is and with the inputs' signs flipped. Equal normal forms prove that
-it is even, opposite ones that it is odd; any other outcome proves nothing.
+expression is normalised with the inputs and with their negatives. Equal normal forms prove that it
+is even, opposite ones that it is odd; any other outcome proves nothing.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ EVEN_FUNCTIONS = {"cos", "cosh", "abs", "is_finite"}
 #: Commutative operations.
 SYMMETRIC = {"eq", "ne", "and", "or", "xor"}
 
-#: A test written with its arguments exchanged.
+#: Tests that are equal to others with their arguments exchanged.
 SWAPPED = {"lt": "gt", "le": "ge"}
 
 
 def parity(graph: Graph, root: int, flipped: Collection[str]) -> Parity:
-    """Whether a node is even or odd in all the flipped inputs together.
+    """Whether a node is even or odd when all the flipped inputs change sign together.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def parity(graph: Graph, root: int, flipped: Collection[str]) -> Parity:
 
 
 class _Forms:
-    """A table of terms, with one entry for equal expressions."""
+    """Normal forms of expressions, with a table of terms in which equal terms share an entry."""
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
@@ -61,6 +61,7 @@ class _Forms:
         self.zero = self.term("const", 0.0, "float")
 
     def of(self, root: int, flipped: frozenset[str]) -> Signed:
+        """The normal form of a node, with the signs of the inputs ``flipped`` changed."""
         known: dict[int, Signed] = {}
         for number in needed(self.graph, [root]):
             op, *arguments = self.graph.nodes[number]

@@ -1,10 +1,10 @@
 """Every operation of a graph on power series of balls, to bound functions along a curve.
 
-The coefficients of a series whose first one is a ball contain the Taylor coefficients at every
-point of that ball. With the expansion about its middle they bound the function on all of it, as
-accurately as its smoothness permits (Taylor's theorem). Nothing can hide between points: a pulse is
-seen however narrow it is. Where a function is not analytic on the whole piece (an undecided test, a
-root near zero), the result is :class:`.balls.Undefined`.
+If the first coefficient of a series is a ball, the others contain the Taylor coefficients at every
+point of that ball. With the expansion about its middle they bound the function on the whole ball,
+as accurately as its smoothness permits (Taylor's theorem). So no pulse can be missed, however
+narrow it is. Where a function is not analytic on the whole piece (an undecided test, a root near
+zero), the result is :class:`.balls.Undefined`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from flint import arb, arb_series, ctx
 from ..lowering.graph import Graph, needed
 from .balls import BALLS, Undefined
 
-#: Terms of the series. With twelve, a piece of a tenth of the radius of convergence is resolved to
-#: a relative 1e-12; more terms cost more than they save in pieces.
+#: Terms of the series. With twelve, a piece as long as a tenth of the radius of convergence is
+#: resolved to a relative 1e-12; with more, the higher cost outweighs the smaller number of pieces.
 TERMS = 12
 
 #: Step functions; each is constant on a piece where its enclosure is a single number.
@@ -51,7 +51,7 @@ class Balls:
 
 
 class Bound:
-    """Nodes with parameter values; what depends on these only is computed once.
+    """Nodes with parameter values; those that depend on parameters only are computed once.
 
     For evaluation on series, numbers in sums and products are converted to series in advance: flint
     would convert them each time, at more than the cost of the sum.
@@ -111,7 +111,7 @@ def _placed(node: tuple[Any, ...], place: Mapping[int, int]) -> tuple[str, list[
     return op, given if op in ("input", "const") else [place[a] for a in given]
 
 
-#: Operations that are the same on balls and on series; narrow balls lose nothing by them.
+#: Operations that flint applies to balls and series alike, without loss for narrow balls.
 ARITHMETIC = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "neg": operator.neg}
 
 
@@ -255,7 +255,7 @@ SERIES_RULES: dict[str, Callable[..., Any]] = {
 
 
 def with_terms(function: Callable[[], Any], precision: int, terms: int = TERMS) -> Any:
-    """Evaluate ``function`` with these global settings of flint."""
+    """Evaluate ``function`` with flint set to a precision and to a number of terms of series."""
     before = ctx.cap
     ctx.cap = terms
     try:

@@ -1,1 +1,1 @@
-"""Delays: the history before a run, the record of its past, and what its flows see of it."""
+"""Delays: the history before a run, the record of its past, and the delayed terms of its flows."""

@@ -1,8 +1,9 @@
-"""The model of a run as it was at any of its times, for analyses after the run.
+"""The model of a finished run, with the delayed terms that it had at any of its times.
 
 Between two breaking points a model with delays is an ordinary model: a scene whose delayed terms
 are windows on the record (:mod:`hybrid.delay.memory`). Here the windows are the pieces of the
-record themselves, so one scene serves as long as every lag looks at the same piece.
+record themselves, so one scene is valid as long as ``t - lag`` stays in the same piece for every
+lag.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ if TYPE_CHECKING:
     from ..automaton.shapes import IntegerMatrix, Matrix, Numbers
     from ..trajectory.trajectory import Solution
 
-#: Half-width of the window on a piece that is not a low-degree polynomial, relative to the longest
-#: lag.
+#: Half-width, relative to the longest lag, of the window on a piece whose degree is too high for a
+#: window.
 NARROW = 1e-2
 
 
 class PastRecord:
-    """Pieces in order of time; where two meet, either side can be chosen."""
+    """The record as pieces in order of time."""
 
     def __init__(self, pieces: Iterable[Piece]) -> None:
         self.pieces = [piece for piece in pieces if piece.end > piece.start]
@@ -42,12 +43,13 @@ class PastRecord:
         self.starts = [piece.start for piece in self.pieces]
 
     def index(self, t: float, side: str = "right") -> int:
-        """Index of the piece at time ``t``; where two meet, of the one on the given side."""
+        """Index of the piece at time ``t``; where two pieces meet, of that on the given side."""
         found = (bisect_left if side == "left" else bisect_right)(self.ends, t)
         return min(found, len(self.pieces) - 1)
 
     def states(self, times: Numbers, low: float = -np.inf, high: float = np.inf) -> Matrix:
-        """States at some times, from the pieces between ``low`` and ``high`` only."""
+        """States at some times, shape ``(k, n)``, from the pieces between ``low`` and ``high``;
+        outside, the outer ones are extrapolated."""
         first, last = self.index(low), self.index(high, "left")
         which = np.clip([self.index(t) for t in times.tolist()], first, max(first, last))
         pairs = zip(which.tolist(), times.tolist(), strict=True)
@@ -55,7 +57,7 @@ class PastRecord:
 
 
 class Hindsight:
-    """The scenes of a run: its model as it was at any time.
+    """The scenes of a run: its model with the delayed terms that it had at any time.
 
     Attributes
     ----------
@@ -64,6 +66,7 @@ class Hindsight:
     history : sequence of Piece or None
         The record before the run; None for a model without delays.
     memory : "keep" or "restart"
+        What delays see after a jump: the record, or the state after the jump.
     breaks : (array, array)
         Breaking points of the record, as far back as the lags reach from the run's end, and the
         order of each state element there.
@@ -114,7 +117,7 @@ class Hindsight:
         return [scene.code.lag(k).bind(values) for k in range(len(spec.lags))]
 
     def places(self, part: int, t: float) -> list[float]:
-        """The times at which the lags look, at time ``t`` in a part of the run."""
+        """The time ``t - lag`` of each lag, at time ``t`` in part ``part`` of the run."""
         if not any(self.scene.code.moving):
             return [t - lag for lag in self.lags]
         arc = self._parts[part]
@@ -124,7 +127,7 @@ class Hindsight:
         return [t - float(lag(t, x)) for lag in self._lags]
 
     def record(self, part: int) -> PastRecord:
-        """The record as seen during a part of the run."""
+        """The record that delays see during part ``part`` of the run."""
         key = part if self.memory == "restart" and part else 0
         if key not in self._records:
             self._records[key] = PastRecord(self._seen(key))
@@ -141,7 +144,8 @@ class Hindsight:
         return [*(self.history or ()), *flown]
 
     def before(self, part: int, t: float) -> Before | None:
-        """The history for a run that continues from time ``t`` in a part of this one."""
+        """The history for a run that continues from time ``t`` in part ``part`` of this one; None
+        without delays."""
         if self.history is None:
             return None
         pieces = until(self.record(part).pieces, t)
@@ -149,7 +153,7 @@ class Hindsight:
         return Before([piece for piece in pieces if piece.end > needed] or pieces[-1:])
 
     def at(self, part: int, t: float, side: str = "right") -> Scene:
-        """The scene at time ``t`` in a part of the run."""
+        """The scene at time ``t`` in part ``part``; at a breaking point, on the given side."""
         if self.history is None:
             return self.scene.at(float(np.nextafter(t, -np.inf)) if side == "left" else t)
         record = self.record(part)
@@ -166,7 +170,8 @@ class Hindsight:
         return scene
 
     def _window(self, piece: Piece, place: float) -> list[np.ndarray]:
-        """A piece as a window; only a narrow part of one that is not a short polynomial."""
+        """A window on a piece; if its degree is too high or its length infinite, on a narrow part
+        of the piece around ``place``."""
         a, b = piece.start, piece.end
         if piece.degree > WINDOW_DEGREE or not np.isfinite(a):
             width = NARROW * (self.longest or 1.0)

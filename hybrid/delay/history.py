@@ -31,7 +31,7 @@ class Before:
 def pieces(
     spec: Spec, history: Any, t0: float, x: StateVector, memory: str = "keep"
 ) -> list[Piece]:
-    """The record before ``t0``.
+    """The record before ``t0``, as pieces in order of time, from the ``history=`` of a run.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def pieces(
     x : array
         The state at ``t0``.
     memory : "keep" or "restart"
-        Whether the whole trajectory is seen, or only what follows its last jump.
+        Whether delays see the whole of an earlier run, or only what follows its last jump.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def pieces(
 
 
 def from_start(spec: Spec, history: Any) -> np.ndarray:
-    """For each state element, whether its history is its start value."""
+    """For each state element, whether its history is constant at its start value."""
     if isinstance(history, Mapping | Record):
         given = set(history.keys())
         parts = [np.full(state.shape, state.name not in given).reshape(-1) for state in spec.states]
@@ -71,7 +71,7 @@ def from_start(spec: Spec, history: Any) -> np.ndarray:
 
 
 def _of_states(spec: Spec, history: Any, t0: float, x: StateVector) -> Piece:
-    """The piece of a history given state by state."""
+    """The piece of a history that is given by state."""
     if isinstance(history, Mapping | Record):
         given = {name: history[name] for name in history.keys()}
     else:
@@ -105,7 +105,7 @@ def _state_by_state(spec: Spec, given: Mapping[str, Any], t: float) -> Numbers:
 
 
 def _called(spec: Spec, state: Callable[[float], np.ndarray], s: float, since: Numbers) -> Matrix:
-    """The states returned by a function of the caller."""
+    """The states that a function of the caller returns at the times ``s + since``."""
 
     def at(t: float) -> np.ndarray:
         try:
@@ -148,7 +148,7 @@ def _of_run(spec: Spec, run: Solution, t0: float, memory: str) -> list[Piece]:
 
 
 def _broken(pieces: list[Piece], run: Solution) -> list[Piece]:
-    """The pieces, with the breaking points that an earlier run had within its arcs."""
+    """The pieces, marked with the breaking points that an earlier run had within its arcs."""
     for t, orders in zip(*run.hindsight.breaks, strict=True) if run.hindsight else ():
         near = min(range(len(pieces)), key=lambda k: abs(pieces[k].start - t))
         piece = pieces[near]
@@ -163,7 +163,7 @@ def until(pieces: list[Piece], t: float) -> list[Piece]:
 
 
 def unknown(spec: Spec, end: float) -> Piece:
-    """Stands for the unknown history of a loaded run: NaN."""
+    """The history of a run that was loaded without it: NaN at all times before ``end``."""
     return constant(np.full(spec.dimension, np.nan), end)
 
 

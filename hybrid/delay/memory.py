@@ -1,16 +1,16 @@
-"""The record of a run with delays, and the windows through which its flows see the past.
+"""The record of a run with delays, and the windows from which its flows take delayed states.
 
 Between two breaking points of the delayed terms, a flow with delays is an ordinary time-dependent
 flow: the record at ``t - lag`` is smooth there and is passed to it as a polynomial, a *window*. The
-driver integrates from window to window; guards, contacts, accumulations and rests do not know of
-delays. A window ends
+driver integrates from window to window; guards, contacts, accumulations and rests are treated as
+without delays. A window ends
 
-* at a breaking point, where the seen record is not smooth. Steps end exactly there. Its order is
-  tracked for each state element (0: the state jumps, 1: its derivative does, ...) through each lag,
-  until it exceeds that of the method;
+* at a breaking point, where the record at ``t - lag`` is not smooth. Steps end exactly there. The
+  order of the breaking point (0: the state jumps, 1: its derivative jumps, ...) is tracked for each
+  state element through each lag, until it exceeds the order of the method;
 * where one polynomial would not be as accurate as the run;
-* where the record ends, if the lag is at least as long as a step. If it is shorter, the part not
-  yet known is guessed, integrated, and corrected until guess and result agree.
+* where the record ends, if the lag is at least as long as a step. If it is shorter, the unknown
+  part of the record is extrapolated, the step is made, and both are repeated until they agree.
 
 See ``docs/notes/delays.md``.
 """
@@ -101,19 +101,19 @@ if TYPE_CHECKING:
 #: Most sums of impacts in one call of the rules' loop.
 SUMS = 8
 
-#: Dense output up to this degree is less accurate than a method of higher order.
+#: Largest degree of dense output that is refined if the method is of higher order.
 CUBIC = 3
 
-#: From terms in powers of the fraction of a step to Chebyshev coefficients.
+#: Matrix from coefficients in powers of the fraction of a step to Chebyshev coefficients.
 TURN = np.ascontiguousarray(from_powers(WIDTH - 1))
 
-#: From values at a window's nodes to Chebyshev coefficients, and from these to powers.
+#: Matrices from values at a window's nodes to Chebyshev coefficients, and from these to powers.
 FROM_VALUES, TO_PLACES = map(np.ascontiguousarray, (from_values(WINDOW_DEGREE), TO_POWERS))
 
 
 @attrs.define
 class Then:
-    """An earlier view of the past; with ``kept`` the run continues from it."""
+    """The scene of a run at an earlier time; if ``kept`` is set, the run continues from there."""
 
     scene: Scene
     kept: bool = False
@@ -127,13 +127,13 @@ class Memory:
     until : float
         Time up to which the present windows are valid.
     shown : array
-        Numbers of the windows, as the trace takes them.
+        Frames and coefficients of the windows, as inputs of the programs.
     bound : bool
         Whether the programs of the rules' loop hold these numbers.
     told : bool
         Whether the rules' loop has already recorded the arcs and jumps now being added.
     sights : array
-        The windows at each sum of impacts that a call of the loop made.
+        The ``shown`` of the windows at each sum of impacts in a call of the loop.
     """
 
     def __init__(
@@ -164,7 +164,8 @@ class Memory:
         self._fixed = self._all_fixed(x)
         self._now = np.zeros(len(self._lags)) if self._fixed is None else self._fixed
         self._moves = np.array([MOVES_ON if moves else FIXED for moves in self.moving])
-        self._told, self._present = np.zeros((len(x), WINDOW_DEGREE + 1)), np.array(x, dtype=float)
+        self._supplied = np.zeros((len(x), WINDOW_DEGREE + 1))
+        self._present = np.array(x, dtype=float)
         self._past: PastArrays | None = None
         self._made: tuple[Any, ...] = ()
         ints = np.zeros(STATE_INTS, dtype=np.int64)
@@ -179,7 +180,7 @@ class Memory:
 
     @property
     def signs(self) -> Integers:
-        """The signs of the guards at that state."""
+        """The signs of the guards at the state ``start``."""
         return self.past().signs[0]  # type: ignore[no-any-return]
 
     @property
@@ -188,7 +189,7 @@ class Memory:
         return len(self._lags) * (2 + (WINDOW_DEGREE + 1) * self.scene.spec.dimension)
 
     def _all_fixed(self, x: StateVector) -> Numbers | None:
-        """The lags if all are constant, finite and not negative; otherwise None."""
+        """The lags, if all of them are constant, finite and not negative; otherwise None."""
         if any(self.moving):
             return None
         lags = np.array([lag(self.plan.t0, x.tolist()) for lag in self._lags], dtype=float)
@@ -208,7 +209,8 @@ class Memory:
         return not self.told and self.until <= t
 
     def _start(self, x: StateVector) -> Integers:
-        """Orders at the start; 0 where the history does not end in the start state."""
+        """The order of the breaking point at the start for each state element: 0 where the history
+        does not end in the start state, else 1."""
         end = self.pieces.last.state(self.plan.t0, np.zeros(1))[0]
         return np.where(end == x, 1, 0)
 
@@ -219,14 +221,14 @@ class Memory:
         other.pieces, other.breaks = self.pieces.copy(other.ints), self.breaks.copy(other.ints)
         other._frames, other.shown = self._frames.copy(), self.shown.copy()
         other._now, other._moves = self._now.copy(), self._moves.copy()
-        other._told, other._present = self._told.copy(), self._present.copy()
+        other._supplied, other._present = self._supplied.copy(), self._present.copy()
         other.sights, other._begun = self.sights.copy(), self._begun.copy()
         other._before = tuple(array.copy() for array in self._before)  # type: ignore[assignment]
         other.bound, other.told, other._past = False, False, None
         return other
 
     def refined(self, field: Field, now: Instant, segments: Sequence[Segment]) -> list[Segment]:
-        """Dense output as accurate as the steps, for methods whose own is a cubic or less.
+        """The segments, refined to the order of the method if their degree is 3 or less.
 
         Values between the steps enter the flow one lag later, where errors cannot be corrected.
         """
@@ -240,7 +242,7 @@ class Memory:
     # -- recording ------------------------------------------------------------------------
 
     def flown(self, now: Instant, segments: Sequence[Segment]) -> None:
-        """Record segments that begin at an instant, from which their starts count."""
+        """Record segments, whose local time begins at an instant."""
         if self.told:
             return
         self.ints[STEPPED] += len(segments)
@@ -272,7 +274,7 @@ class Memory:
         self.until = t
 
     def tail(self, part: TailPart) -> None:
-        """Record impacts one by one while a delay can see them, then their limit."""
+        """Record impacts of a tail until delays cannot tell them from the limit; then the limit."""
         tail = part.tail
         if self.told:
             return
@@ -294,15 +296,15 @@ class Memory:
         self.breaks.add(part.t1, np.ones(len(tail.x_inf), dtype=int))
 
     def _low(self, arc: Arc, x: StateVector) -> bool:
-        """Whether a flight, as far as delays see it, is indistinguishable from the limit."""
+        """Whether delays cannot tell the states along a flight from the limit ``x``."""
         there = np.concatenate([s(s.start + s.length * nodes(4)) for s in arc.segments])
         return self._near(there, x)
 
     def stays(self, part: TailPart) -> bool:
-        """Whether the impacts up to their limit see the past through the present windows.
+        """Whether the present windows are valid for the flights of a tail up to the limit.
 
-        A vanishing lag sees the impacts themselves; after restarts, each flight sees the last
-        impact.
+        They are not if a very short lag sees the impacts of the tail, or if the past restarts at
+        each impact and the states after the impacts differ from the limit.
         """
         limit = part.tail.x_inf
         if self.plan.memory == "restart":
@@ -310,7 +312,7 @@ class Memory:
         return not self.guessing or self._low(part.arc(0), limit)
 
     def _near(self, there: np.ndarray, x: StateVector) -> bool:
-        """Whether states, as far as delays see them, are indistinguishable from ``x``."""
+        """Whether the elements of states that delays see equal those of ``x``, up to tolerance."""
         seen = self.all_seen
         size = np.abs(x)
         allowed = WINDOW_SHARE * (self.plan.atol + self.plan.rtol * size) + SHOWN_ROUNDING * size
@@ -320,12 +322,12 @@ class Memory:
 
     @property
     def guessing(self) -> bool:
-        """Whether a window contains guessed values."""
+        """Whether a window contains extrapolated values."""
         return bool(self.ints[GUESSED])
 
     @property
     def known(self) -> float:
-        """Time up to which the windows show recorded values."""
+        """Time up to which the windows contain recorded values only."""
         return float(self.floats[GUESSED_FROM]) if self.guessing else self.until
 
     def look(self, t: float, x: StateVector) -> Scene:
@@ -351,22 +353,28 @@ class Memory:
         return self.read()
 
     def _looks(self, t: float, x: StateVector) -> None:
-        """Store the state, and the times at which the lags look at time ``t``."""
+        """Store the state, and the time ``t - lag`` of each lag."""
         self._present[:] = x
         if self._fixed is None:
             self._now[:] = [t - self._place(k, t, x) for k in range(len(self._lags))]
 
     def _read(self) -> int:
-        """Compute windows, or continue to; returns the rule's status."""
+        """Compute windows, or continue after values were supplied; returns the rule's status."""
         if self.pieces.full:
             self.pieces.grow()
         return int(unit("windows").read(self.floats[GUESSED_FROM], False, self.past()))
 
     def _found(self, status: int) -> None:
-        """Complete the search for windows, evaluating the history on request, or raise."""
+        """Complete the windows, evaluating the caller's history where the rule requests it.
+
+        Raises
+        ------
+        FlowError, OptionError
+            As :meth:`look`.
+        """
         fault = None
         while status == ASKS_VALUES:
-            fault = self._tell()
+            fault = self._supply_values()
             status = self._read()
         t, bad = self.floats[[GUESSED_FROM, ASKED_FROM]].tolist()
         x, model = self._present, self.scene.spec.model
@@ -387,15 +395,15 @@ class Memory:
                 "the state seen through it cannot be found; use the present state for a lag of 0"
             )
 
-    def _tell(self) -> OptionError | None:
-        """Supply requested values of the caller's history; returns its error, if any."""
+    def _supply_values(self) -> OptionError | None:
+        """Supply the requested values of the caller's history; returns its error, if any."""
         a, b = self.floats[[ASKED_FROM, ASKED_UNTIL]].tolist()
         pieces = [self.pieces.piece(k) for k in range(*self.ints[[ASKED, ASKED_UP_TO]].tolist())]
         try:
             with np.errstate(all="ignore"):
-                self._told[:] = states(pieces, a, (b - a) * nodes(WINDOW_DEGREE)).T
+                self._supplied[:] = states(pieces, a, (b - a) * nodes(WINDOW_DEGREE)).T
         except OptionError as fault:
-            self._told[:] = np.nan
+            self._supplied[:] = np.nan
             return fault
         return None
 
@@ -405,28 +413,29 @@ class Memory:
         return self.scene.through([self.shown])
 
     def begins(self, going: int, arc: int, t: float, low: float) -> None:
-        """Begin a call of the rules' loop, within an arc or before one."""
+        """Prepare a call of the rules' loop from ``t + low``: within arc number ``arc``, if the
+        loop was in it and goes on, else at its start."""
         within = going and self.ints[IN_ARC] == arc
         self.ints[STEPS_DONE : FLIGHTS_DONE + 1], self.ints[IN_ARC] = 0, 0 if within else -1
         self.ints[AGAIN], self.floats[SINCE], self.floats[SINCE_LOW] = GOES_ON, t, low
 
     def make_room(self, t: float) -> None:
-        """Double the capacity, after dropping what no lag sees from time ``t`` on."""
+        """Double the capacity, after dropping pieces that no lag sees from time ``t`` on."""
         self._forget(t)
         self.pieces.grow()
         self.breaks.grow()
 
     def _forget(self, t: float) -> None:
-        """If all lags are constant, drop what none of them sees from time ``t`` on."""
+        """If all lags are constant, drop pieces that none of them sees from time ``t`` on."""
         if not any(self.moving):
             self.pieces.forget(t - self._now.max())
             self.breaks.forget(t - self._now.max())
 
     @contextmanager
     def as_at(self, t: float, x: StateVector) -> Iterator[Then]:
-        """The view of the past at an earlier time, which the rules' loop has passed.
+        """The record and the windows at an earlier time, which the rules' loop has passed.
 
-        On exit everything is restored, unless it is marked as kept.
+        On exit the present ones are restored, unless the :class:`Then` is marked as kept.
         """
         were, then = vars(self).copy(), Then(self.scene)
         try:
@@ -446,7 +455,7 @@ class Memory:
                 vars(self).update(were)
 
     def past(self, links: Links | None = None) -> PastArrays:
-        """The record and the windows as arrays of the rules; by default with the last links."""
+        """The record and the windows as arrays of the rules, with ``links`` or the last ones."""
         links = links or (self._made[-1] if self._made else NO_LINKS)
         arrays = self.pieces.rows, self.breaks.arrays[0], links
         if self._past is None or any(a is not b for a, b in zip(arrays, self._made, strict=True)):
@@ -464,12 +473,12 @@ class Memory:
             *(atol, links.given, links.ranged, links.parts, links.ops, links.more, links.numbers),
             *(self.shown, self.sights, nodes(WINDOW_DEGREE).copy(), FROM_VALUES, TO_PLACES, TURN),
             *(np.zeros(n, dtype=np.int64), np.zeros((len(self._now), n), dtype=np.int64)),
-            *(np.zeros((2, WINDOW_DEGREE + 1)), self._told, self._present),
+            *(np.zeros((2, WINDOW_DEGREE + 1)), self._supplied, self._present),
             *(self._begun, links.signs, *self._before),
         )
 
     def _place(self, k: int, t: float, x: StateVector) -> float:
-        """The time at which a lag looks."""
+        """The time ``t - lag`` for lag number ``k``."""
         lag = self._lags[k](t, x.tolist())
         if not (isfinite(lag) and lag >= 0):
             state = self.scene.spec.record(x)
@@ -482,7 +491,8 @@ class Memory:
     # -- at the end of a window -------------------------------------------------------------
 
     def confirm(self, now: Instant, length: float, segments: Sequence[Segment]) -> Scene | None:
-        """Check guessed windows after a flight: None if they hold, else the scene to repeat it."""
+        """Check extrapolated windows after a flight: None if they agree with the flight, else the
+        scene with which to repeat it."""
         if not self.guessing or not segments:
             return None
         for segment in segments:
@@ -503,9 +513,9 @@ class Memory:
         return t < self.until < self.plan.t1 and self.until - t <= 2.0 * slack_of(t)
 
     def passed(self, t: float, x: StateVector, field: Field, fired: str | None = None) -> None:
-        """The end of the windows is reached: record the breaking point that follows from it.
+        """Record the breaking point at the end of the windows, which the run has reached.
 
-        ``fired`` is the edge of the guard by which a varying lag reached the end of its window.
+        ``fired`` is the edge of the guard that detects that a varying lag leaves its window.
         """
         key = field.mode, field.held
         if key not in self._reach:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         StateVectors,
     )
 
-#: Rounding of places at the ends of a piece.
+#: Tolerated excess of the local coordinate over 1 at the ends of a piece.
 INSIDE = 1e-12
 
 #: Initial capacity for pieces and breaking points; columns of a piece's row; and most coefficients
@@ -40,7 +40,7 @@ FIRST_ROOM, COLUMNS, WIDTH = 256, 6, HIGHEST + 1
 
 @attrs.frozen(eq=False)
 class Piece:
-    """The record between two times.
+    """The record between the times ``start`` and ``end``.
 
     Attributes
     ----------
@@ -50,7 +50,8 @@ class Piece:
     degree : float
         The degree of the polynomial; infinity for a function of the caller.
     orders : array or None
-        Orders of a breaking point at the start, in a piece of an earlier run.
+        In a piece of an earlier run: the order of the breaking point at its start, for each state
+        element.
     rows : array, shape (degree + 1, n), or None
         Chebyshev coefficients about the middle of the piece.
     frame : tuple
@@ -67,7 +68,7 @@ class Piece:
 
 
 def piece_of(segment: Segment, t0: float, low: float, orders: np.ndarray | None = None) -> Piece:
-    """A segment of an arc that starts at ``t0 + low``."""
+    """The piece of a segment, whose arc starts at ``t0 + low``."""
     start, end = t0 + (low + segment.start), t0 + (low + segment.end)
     frame = t0, low, segment.start + 0.5 * segment.length, 0.5 * segment.length
     return _polynomial(start, end, frame, segment.coefficients, orders)
@@ -90,7 +91,8 @@ def _shown(frame: tuple[float, ...], rows: Matrix, s: float, since: Numbers) -> 
 
 
 def chebyshev_sum(places: Numbers, rows: Matrix) -> Matrix:
-    """Chebyshev series at some places, by cosines: for few places faster than a recurrence."""
+    """Values of Chebyshev series at places, shape ``(len(places), n)``. Inside [-1, 1] they are
+    sums of cosines, which for few places is faster than a recurrence."""
     if np.abs(places).max() > 1.0 + INSIDE:
         return np.polynomial.chebyshev.chebvander(places, len(rows) - 1) @ rows
     angles = np.arccos(np.minimum(np.maximum(places, -1.0), 1.0))
@@ -98,7 +100,7 @@ def chebyshev_sum(places: Numbers, rows: Matrix) -> Matrix:
 
 
 def constant(x: StateVector, end: float) -> Piece:
-    """The constant state ``x`` at all times before ``end``."""
+    """The piece with the constant state ``x`` at all times before ``end``."""
     return Piece(-np.inf, end, partial(_always, x), 0, rows=x[None])
 
 
@@ -107,7 +109,8 @@ def _always(x: StateVector, s: float, since: Numbers) -> StateVectors:
 
 
 def states(pieces: Sequence[Piece], s: float, since: Numbers) -> Matrix:
-    """States at ``s + since`` from pieces in order; the outer pieces are extrapolated."""
+    """States at ``s + since``, shape ``(len(since), n)``, from pieces in order of time; the outer
+    pieces are extrapolated."""
     if len(pieces) == 1:
         return pieces[0].state(s, since)
     starts = np.array([piece.start for piece in pieces[1:]]) - s
@@ -119,10 +122,10 @@ def states(pieces: Sequence[Piece], s: float, since: Numbers) -> Matrix:
 
 
 def swept(field: Field, now: Instant, segment: Segment, count: int) -> Segment:
-    """A segment made more accurate between its ends by ``count`` Picard sweeps.
+    """A segment made more accurate between its ends by ``count`` Picard iterations.
 
-    Each sweep integrates the flow along the segment, which gains an order, and is then corrected to
-    meet the end of the step.
+    Each of them integrates the flow along the segment, which raises the order by one. A linear term
+    is then added so that the end of the step is met.
     """
     degree = segment.degree + count
     places, h = nodes(degree), segment.length
@@ -163,7 +166,7 @@ class Pieces:
 
     @property
     def full(self) -> bool:
-        """Whether the arrays are full."""
+        """Whether there is no room for another piece."""
         return self.count == len(self.degrees)
 
     @property
@@ -298,15 +301,16 @@ class Breaks:
 
 
 def slack_of(*times: float) -> float:
-    """Distance below which times are equal up to the rounding of their sums."""
+    """Difference below which times are equal, up to the rounding of sums of them."""
     return 8.0 * ulp(max(map(abs, times)))
 
 
 def window_on(a: float, b: float, values: Matrix) -> list[np.ndarray]:
-    """A window through states at its nodes, as the trace takes it: frame and coefficients.
+    """The window from ``a`` to ``b`` with given states at its nodes.
 
-    Coefficients at rounding level are dropped, as their derivatives would be large on a short
-    window.
+    Returns its frame (midpoint, half-length) and its coefficients in powers of the local
+    coordinate. Coefficients at rounding level are dropped, as their derivatives would be large on a
+    short window.
     """
     frame = np.array([0.5 * a + 0.5 * b, 0.5 * (b - a)])
     series = from_values(WINDOW_DEGREE) @ values

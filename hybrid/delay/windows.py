@@ -1,4 +1,4 @@
-"""The numbers of the windows through which delays look back: see :mod:`hybrid.delay.memory`."""
+"""The windows on the past as inputs of programs: see :mod:`hybrid.delay.memory`."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from ..rules.arrays import AutomatonArrays
 
 
-#: From Chebyshev coefficients to powers of the window's local coordinate.
+#: Matrix from Chebyshev coefficients to powers of the window's local coordinate.
 TO_POWERS = to_centred_powers(WINDOW_DEGREE)
 
 
 class Links(NamedTuple):
-    """Places of the windows' numbers in programs; see :class:`hybrid.rules.arrays.PastArrays`."""
+    """Where programs read the windows' numbers; see :class:`hybrid.rules.arrays.PastArrays`."""
 
     uses: np.ndarray
     asks: np.ndarray
@@ -47,10 +47,11 @@ NO_LINKS = Links(*EMPTY_TABLES, NO_PROGRAMS, np.zeros((0, 1)), _table([], 1))  #
 
 
 class Shown:
-    """The programs of the rules' loop for one run, with numbers of its own.
+    """The programs of the rules' loop for one run, with a copy of their numbers.
 
-    Windows are numbers of the programs; nothing else changes from one window to the next. With
-    ``restarts``, a jump changes what delays see, so a release is not handled by the loop.
+    The coefficients of windows are among these numbers; nothing else changes from one window to the
+    next. With ``restarts``, a jump changes the delayed states, so the loop leaves releases to
+    Python.
     """
 
     def __init__(self, tables: Tables, restarts: bool) -> None:
@@ -62,7 +63,7 @@ class Shown:
         self._links = NO_LINKS
 
     def linked(self) -> tuple[AutomatonArrays, Links]:
-        """The automaton's arrays, and where its windows are."""
+        """The automaton's arrays, and where its programs read the windows."""
         known = self.tables.automaton
         if known is not self._of:
             programs, bounds = known.programs, known.bounds
@@ -82,7 +83,7 @@ class Shown:
         return self._own, self._links
 
     def _found(self, known: AutomatonArrays) -> Links:
-        """Where the windows are in the shared programs, cached on the tables."""
+        """Where the shared programs read the windows, cached on the tables."""
         if self.tables.links is None or self.tables.links[0] is not known:
             self.tables.links = known, self._find()
         return self.tables.links[1]  # type: ignore[no-any-return]
@@ -119,8 +120,11 @@ class Shown:
 
 
 def reach(fields: Sequence[Field]) -> tuple[np.ndarray, np.ndarray]:
-    """Dependence of each element's derivative in some fields: on present elements, and on (lag,
-    element) pairs of the past."""
+    """On what the derivative of each state element depends, field by field.
+
+    Returns two tables of 0 and 1, with a row for each field and element: on which present elements,
+    shape ``(rows, n)``, and on which delayed ones, by lag and element, shape ``(rows, lags * n)``.
+    """
     spec, uses, asks = fields[0].code.spec, [], []
     n, lags = spec.dimension, len(spec.lags)
     if not lags:

@@ -1,4 +1,4 @@
-"""Many runs of one model, flown by threads of machine code or by processes."""
+"""Many runs of one model, in parallel: in threads of compiled code, or in processes."""
 
 from .runs import ensemble
 

@@ -1,6 +1,6 @@
-"""What a lane is asked for besides its end: points on a section, states at times, time at rest.
+"""Measures of a lane besides its final state: points on a section, states at times, time at rest.
 
-A lane that is measured is looked at as it goes on, and no more of it is kept than is asked for.
+They are computed while the lane runs, so that its trajectory need not be kept.
 """
 
 from __future__ import annotations
@@ -28,43 +28,46 @@ from ..run.sections import EdgeSection, Period, Section, Surface, section_of
 from ..trajectory.arcs import Arc, Part
 from ..trajectory.log import Flights, Log
 from ..variation import GROWN_APART, TRANSIENT, Course, factors_of, first_frame, grown, largest
-from .starts import Lane, Lanes, told
+from .starts import Lane, Lanes, attributes_of
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
 
-#: Measures by name that are no state or output of the model, and what they are.
+#: Measures by name, other than states and outputs of the model, and their descriptions.
 NAMED = {
     "stick": "share of the time at rest on contacts or sliding",
     "period": "points of the section after which they repeat, 0 where they do not",
     "lyapunov": "largest Lyapunov exponent over the last nine tenths of the time",
 }
 
-#: How far a lane still moves.
+#: Description of the variable ``moves``.
 STILL_MOVES = "largest change of a state over the last eighth of the time, against its size"
 
-#: A lane that does not move has not done so for this share of its time.
+#: Fraction of a lane's time, at its end, over which ``moves`` is measured.
 STILL_SHARE = 0.125
 
-#: Points of a section are the same where they differ by this share at most of what the lane's
-#: states come to: more than tolerances leave on a stable orbit, less than one of twice the period.
+#: Points of a section are equal if they differ by at most this fraction of the largest states of
+#: the lane. Tolerances cause smaller differences on a stable orbit; an orbit of twice the period
+#: has larger ones.
 SAME_POINT = 1e-6
 
 
 @attrs.frozen(eq=False)
 class Measures:
-    """What each lane is asked for, checked.
+    """The measures of each lane, checked.
 
     Attributes
     ----------
     names : tuple of str
-        Those of :data:`NAMED`.
+        Names from :data:`NAMED`.
     outputs : list of str
+        Outputs of the model.
     functions : tuple of callable
-        Of the Dataset of all lanes.
+        Functions of the Dataset of all lanes.
     section, crossing, skip, every, keep
-        As :func:`hybrid.ensemble` takes them.
+        As for :func:`hybrid.ensemble`.
     times : array or None
+        Times at which states are kept.
     """
 
     spec: Any
@@ -82,13 +85,14 @@ class Measures:
     def of(
         cls, spec: Spec, measure: Any, taken: Sequence[str], save: Any, section: Any, points: Any
     ) -> Measures:
-        """What a caller asks for."""
+        """Check the arguments of :func:`hybrid.ensemble`; ``points`` are crossing, skip, every and
+        keep, and ``taken`` are names that outputs must not have."""
         given = [measure] if callable(measure) else measure
         functions = tuple(m for m in given if callable(m)) if not isinstance(given, str) else ()
-        told = given if isinstance(given, str) else [m for m in given if not callable(m)]
+        names = given if isinstance(given, str) else [m for m in given if not callable(m)]
         own = {*spec.names, *(output.name for output in spec.outputs)}
-        named = tuple(m for m in told if m in NAMED and m not in own) if functions or told else ()
-        rest = told if isinstance(told, str) else [m for m in told if m not in named]
+        named = tuple(m for m in names if m in NAMED and m not in own) if functions or names else ()
+        rest = names if isinstance(names, str) else [m for m in names if m not in named]
         outputs = require_outputs(spec, rest, taken, NAMED)
         if "period" in named and section is None:
             raise OptionError(f"{spec.model}: measure 'period' counts points of a section=")
@@ -110,28 +114,33 @@ class Measures:
 
     @property
     def alone(self) -> Measures:
-        """What another process has to know of it, but for the model's spec."""
+        """The measures as sent to another process, which has its own spec of the model."""
         return attrs.evolve(self, spec=None, functions=(), outputs=[])
 
     @property
     def anything(self) -> bool:
-        """Whether lanes have to be looked at on their way."""
+        """Whether a lane must be measured while it runs."""
         return bool(self.shapes)
 
     @property
     def jumps_only(self) -> bool:
-        """Whether all that is asked for of a lane is in the table of its jumps."""
+        """Whether the table of a lane's jumps suffices for its measures."""
         return isinstance(self.section, str) and set(self.shapes) == {"hits", "t", "points"}
 
     def of_jumps(self, fired: Matrix, when: Matrix, after: np.ndarray) -> Matrix:
-        """What is kept of lanes whose jumps are known.
+        """The measures of lanes, computed from their jumps.
 
         Parameters
         ----------
         fired : array of bool, shape (lanes, jumps)
-            Which jumps are those of the section.
+            Which jumps are jumps of the section.
         when, after : arrays, shapes (lanes, jumps) and (lanes, jumps, n)
-            Times, and states after them.
+            Times of the jumps, and states after them.
+
+        Returns
+        -------
+        array, shape (lanes, size)
+            NaN for points that a lane does not have.
         """
         assert self.skip is not None
         numbers = np.full((len(fired), self.size), np.nan)
@@ -145,7 +154,7 @@ class Measures:
 
     @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """What is kept of each lane, by name."""
+        """Shapes of the measures of one lane, by name."""
         shapes: dict[str, tuple[int, ...]] = {}
         if self.section is not None:
             shapes |= {"hits": (), "t": (self.keep,), "points": (self.keep, self.spec.dimension)}
@@ -158,18 +167,18 @@ class Measures:
 
     @property
     def size(self) -> int:
-        """How many numbers that is."""
+        """The number of numbers of all measures of one lane."""
         return sum(map(math.prod, self.shapes.values()))
 
     def views(self, numbers: np.ndarray) -> dict[str, np.ndarray]:
-        """By name what is kept; numbers are the last axis."""
+        """Views by name of an array of measures, whose last axis has the length ``size``."""
         ends = np.cumsum([math.prod(shape) for shape in self.shapes.values()])
         parts, lead = np.split(numbers, ends, axis=-1), numbers.shape[:-1]
         pairs = zip(self.shapes.items(), parts, strict=False)
         return {name: part.reshape(lead + shape) for (name, shape), part in pairs}
 
     def section_of(self, lane: Lane, lanes: Lanes) -> Section | None:
-        """The section of a lane."""
+        """The section of a lane, with the lane's parameters; None without a section."""
         if self.section is None:
             return None
         own = *(v[lane.number] for v in lanes.parameters), *lane.scene.samples
@@ -179,7 +188,7 @@ class Measures:
     # -- the table ----------------------------------------------------------------------
 
     def columns(self, lanes: Lanes, numbers: np.ndarray) -> dict[str, Any]:
-        """Variables of a Dataset, from what was kept of all lanes."""
+        """Variables of a Dataset, from the measures of all lanes, shape ``(lanes, size)``."""
         made: dict[str, Any] = {}
         views = self.views(numbers)
         if "hits" in views:
@@ -203,7 +212,7 @@ class Measures:
         return made
 
     def coordinates(self) -> dict[str, Any]:
-        """The numbers of the points that are kept, and the times."""
+        """Coordinates of a Dataset: the numbers of the points that are kept, and the times."""
         made: dict[str, Any] = {}
         if self.section is not None:
             first = -self.every * self.keep if self.skip is None else self.skip
@@ -214,13 +223,13 @@ class Measures:
         return made
 
     def _vectors(self, what: str, values: np.ndarray) -> dict[str, Any]:
-        """A number for each state."""
+        """Variables of a Dataset with a number for each state element: ``x_<what>``, ..."""
         record = self.spec.record(values)
         return {
             f"{s.name}_{what}": (
                 ("lane", *(f"{s.name}_{i}" for i in range(len(s.shape)))),
                 record[s.name],
-                told(s),
+                attributes_of(s),
             )
             for s in self.spec.states
         }
@@ -228,11 +237,12 @@ class Measures:
     def _states(
         self, lanes: Lanes, what: str, axis: str, t: np.ndarray, x: np.ndarray
     ) -> dict[str, Any]:
-        """The states, and the outputs asked for, at points of lanes."""
+        """Variables of a Dataset with states and requested outputs at points of all lanes, where
+        ``x`` has the shape (lanes, points, n)."""
         record, made = self.spec.record(x), {}
         for state in self.spec.states:
             dims = "lane", axis, *(f"{state.name}_{i}" for i in range(len(state.shape)))
-            made[f"{state.name}_{what}"] = dims, record[state.name], told(state)
+            made[f"{state.name}_{what}"] = dims, record[state.name], attributes_of(state)
         count, points = x.shape[:2]
         rows, times = x.reshape(-1, x.shape[-1]), np.broadcast_to(t, (count, points)).reshape(-1)
         given: list[Any] = [np.repeat(values, points, axis=0) for values in lanes.parameters]
@@ -242,7 +252,7 @@ class Measures:
                 v = evaluated(self.spec, output.name, given, times, rows, True)
                 v = v.reshape(count, points, *v.shape[1:])
                 dims = "lane", axis, *(f"{output.name}_{i}" for i in range(v.ndim - 2))
-                made[f"{output.name}_{what}"] = dims, v, told(output)
+                made[f"{output.name}_{what}"] = dims, v, attributes_of(output)
         return made
 
 
@@ -259,7 +269,8 @@ def _times(spec: Spec, save: Any) -> np.ndarray | None:
 
 
 def _period(points: np.ndarray, size: StateVector) -> int:
-    """After how many points they repeat; each must be seen to."""
+    """The number of points after which the points repeat; 0 if they do not. Each number up to half
+    of the points is tried, and all points must repeat."""
     known = points[np.isfinite(points).all(axis=1)]
     for n in range(1, len(known) // 2 + 1):
         if np.all(np.abs(known[n:] - known[:-n]) <= SAME_POINT * size):
@@ -268,9 +279,9 @@ def _period(points: np.ndarray, size: StateVector) -> int:
 
 
 class MeasuredLane(Log):
-    """What is kept of a lane in place of its parts: what was asked for, and the last part.
+    """A log that keeps the measures of a lane and its last part, in place of all its parts.
 
-    ``numbers`` is NaN where nothing was met.
+    ``numbers`` holds the measures; NaN for points that the lane does not reach.
     """
 
     def __init__(self, asked: Measures, lane: Lane, section: Section | None) -> None:
@@ -288,26 +299,26 @@ class MeasuredLane(Log):
 
     @property
     def dense(self) -> bool:
-        """Whether steps are looked at."""
+        """Whether the measures need dense output."""
         timed = any(map(len, self.due.values()))
         return isinstance(self.section, Surface) or timed or self.sized or self.varied
 
     @property
     def varied(self) -> bool:
-        """Whether it is asked how neighbours part, for which the whole lane is kept."""
+        """Whether the Lyapunov exponent is measured, for which the whole lane is kept."""
         return "lyapunov" in self.views
 
     @property
     def sized(self) -> bool:
-        """Whether it is asked how large the states are."""
+        """Whether the sizes of the states are measured."""
         return "period" in self.views or "size" in self.views
 
     def _strobes(self, t1: float) -> np.ndarray:
-        """The times of a section in time that are kept."""
+        """The times of the stroboscopic section at which states are kept; empty for others."""
         if not isinstance(self.section, Period):
             return np.empty(0)
         skip, every, keep = self.asked.skip, self.asked.every, self.asked.keep
-        if skip is None:  # where the lane will end is not known: the last ones stay
+        if skip is None:  # the lane's end is not known yet: all states, later ones replace others
             numbers = np.arange(0, self._periods(t1), every)
         else:
             numbers = skip + every * np.arange(keep)
@@ -316,26 +327,26 @@ class MeasuredLane(Log):
         return times[times <= t1]
 
     def _periods(self, t1: float) -> int:
-        """How many periods there are to a time."""
+        """The number of whole periods from the start to time ``t1``, up to rounding."""
         assert isinstance(self.section, Period)
         return int((t1 - self.t0) / self.section.period * (1.0 + TIE * EPS))
 
     def add(self, part: Part | Flights) -> None:
-        """Look at the part before, which has ended, and keep this one in its place."""
-        self._look(part)
+        """Measure the previous part, which has ended, and replace it by this one."""
+        self._measure_kept(part)
         self.kept, self.own = [part], {}
 
     def end(self) -> np.ndarray:
-        """All that was asked for, when the run has ended."""
-        self._look()
+        """All measures as an array, shape ``(size,)``; to be called when the run has ended."""
+        self._measure_kept()
         t1 = self.kept[-1].t1 if self.kept else self.t0
         for name, times in self.due.items():
             for k in np.flatnonzero(times == t1).tolist() if self.kept else ():
-                self._due(name, k, self.kept[-1].last, self.kept[-1].mode)
+                self._keep_timed(name, k, self.kept[-1].last, self.kept[-1].mode)
         if isinstance(self.section, Period):
             self.met = self._periods(t1)
         if "modes" in self.views:
-            self._unroll()
+            self._sort_last_points()
         if "moves" in self.views:
             self.views["size"][...] = self.size
             self.views["range"][...] = np.maximum(self.high - self.low, 0.0)
@@ -351,9 +362,9 @@ class MeasuredLane(Log):
         return self.numbers
 
     def _largest(self) -> float:
-        """The largest Lyapunov exponent; NaN where no first variation is known."""
+        """The largest Lyapunov exponent; NaN if there is no first variation."""
         course = Course(self.scene, *self.whole.apart())
-        if not course.parts:  # it could not begin
+        if not course.parts:  # the lane could not begin
             return np.nan
         try:
             pieces, frame = factors_of(course, GROWN_APART), first_frame(len(self.size), 1)
@@ -365,18 +376,18 @@ class MeasuredLane(Log):
             return np.nan
         passed = times[times >= self.t0 + TRANSIENT * (times[-1] - self.t0)][0]
         since = passed if passed < times[-1] else self.t0
-        onto = [t for t, end in self._held(course.parts) if t <= since < end]
+        onto = [t for t, end in self._constrained(course.parts) if t <= since < end]
         since, kept = (onto[0], times >= onto[0]) if onto else (since, times > since)
         return float(growth[kept].sum() / (times[-1] - since))
 
-    def _held(self, parts: Sequence[Part]) -> Iterator[tuple[float, float]]:
-        """First and last times of what rests or slides, onto which neighbours are led."""
+    def _constrained(self, parts: Sequence[Part]) -> Iterator[tuple[float, float]]:
+        """First and last times of the arcs at rest or sliding, which start with a projection."""
         for part in parts:
             if isinstance(part, Arc) and self.scene.field(part.mode).project is not None:
                 yield part.t0, part.t1
 
-    def _unroll(self) -> None:
-        """The oldest of the last points first: they have been put down round and round."""
+    def _sort_last_points(self) -> None:
+        """Sort the last points by time; they were written to a ring buffer."""
         kept = -(-self.met // self.asked.every)
         if kept > self.asked.keep:
             for name in ("t", "points", "modes"):
@@ -384,7 +395,8 @@ class MeasuredLane(Log):
                 view[...] = np.roll(view, -(kept % self.asked.keep), axis=0)
 
     def _moves(self, t1: float) -> float:
-        """How far the state still moves; infinite where it has jumped of late."""
+        """The largest change of a state element over the last eighth of the time, relative to its
+        size; infinite if the lane has jumped in this time."""
         part = self.kept[-1] if self.kept else None
         since = t1 - STILL_SHARE * (t1 - self.t0)
         if not isinstance(part, Arc) or part.t0 > since:
@@ -393,27 +405,27 @@ class MeasuredLane(Log):
         far = np.abs(states - part.last).max(axis=0)
         return float((far / np.where(self.size > 0, self.size, 1.0)).max())
 
-    def _due(self, name: str, k: int, x: StateVector, mode: str) -> None:
-        """Put down the state at a time that was asked for."""
+    def _keep_timed(self, name: str, k: int, x: StateVector, mode: str) -> None:
+        """Keep the state at the ``k``-th requested time, of the section or to be saved."""
         if name == "points":
             k, t = k % self.asked.keep, float(self.due[name][k])
             self.views["t"][k] = t
-        self._put(name, k, x, mode)
+        self._keep_state(name, k, x, mode)
 
-    def _put(self, name: str, place: int, x: StateVector, mode: str) -> None:
-        """Put down a state; of points on a section the mode behind them."""
+    def _keep_state(self, name: str, place: int, x: StateVector, mode: str) -> None:
+        """Keep a state; for a point on a section, also the mode after it."""
         self.views[name][place] = x
         if name == "points" and "modes" in self.views:
             self.views["modes"][place] = number_of(self.scene, mode)
 
-    def _look(self, then: Part | Flights | None = None) -> None:
-        """Look at what is kept; ``then`` comes after it."""
+    def _measure_kept(self, then: Part | Flights | None = None) -> None:
+        """Measure the part that is kept; ``then`` is the part after it."""
         if self.varied:
             self.whole.kept += self.kept
             self.whole.own |= {len(self.whole.kept) - 1: row for row in self.own.values()}
         for part in self.kept:
             if self.sized:
-                self._measure(part)
+                self._measure_sizes(part)
             if isinstance(part, Flights):
                 constrained = np.array([name.endswith(")") for name in part.modes])
                 self.stuck += float(part.lengths[constrained].sum())
@@ -422,14 +434,14 @@ class MeasuredLane(Log):
             for name, times in self.due.items():
                 for k in range(*np.searchsorted(times, (part.t0, part.t1)).tolist()):
                     t = float(times[k])
-                    self._due(name, k, _at(part, t), _mode_at(part, t))
+                    self._keep_timed(name, k, _at(part, t), _mode_at(part, t))
             if isinstance(self.section, EdgeSection):
                 self._jumps(part, self.section.name, then)
             elif isinstance(self.section, Surface):
                 self._crossings(part, self.section)
 
-    def _measure(self, part: Part | Flights) -> None:
-        """How large the states are; and between which bounds they lie in the second half."""
+    def _measure_sizes(self, part: Part | Flights) -> None:
+        """Update bounds on the sizes of the states, and on their ranges in the second half."""
         for arc in _arcs(part):
             for segment in arc.segments:
                 size = np.abs(segment.coefficients)
@@ -440,38 +452,39 @@ class MeasuredLane(Log):
                     self.high = np.maximum(self.high, segment.coefficients[0] + around)
 
     def _jumps(self, part: Part | Flights, edge: str, then: Part | Flights | None) -> None:
-        """Jumps of an edge."""
+        """Keep the points of a section that are jumps of ``edge``; ``then`` is the next part."""
         row, behind = self.own.get(0), _first_mode(then) or part.mode
         if isinstance(part, Flights):
             modes = [*part.modes[1:].tolist(), behind]
             for k in np.flatnonzero(part.jumps.edge == edge).tolist():
-                self._meet(float(part.jumps.t[k]), part.jumps.after[k], modes[k])
+                self._keep_point(float(part.jumps.t[k]), part.jumps.after[k], modes[k])
         elif isinstance(part, Arc) and row is not None and row.edge == edge:
-            self._meet(row.t, row.after, behind)
+            self._keep_point(row.t, row.after, behind)
 
     def _crossings(self, part: Part | Flights, surface: Surface) -> None:
-        """Crossings of a surface."""
+        """Keep the points at which a part crosses a surface."""
         for arc in _arcs(part):
             for tau in surface.crossings(arc, starts=arc.t0 <= self.t0):
-                self._meet(arc.t0 + (arc.low + tau), arc.local(tau), arc.mode)
+                self._keep_point(arc.t0 + (arc.low + tau), arc.local(tau), arc.mode)
 
-    def _meet(self, t: float, x: StateVector, mode: str) -> None:
+    def _keep_point(self, t: float, x: StateVector, mode: str) -> None:
+        """Count a point on the section, and keep it if skip, every and keep say so."""
         skip, keep = self.asked.skip, self.asked.keep
         place, rest = divmod(self.met - (skip or 0), self.asked.every)
         self.met += 1
         place = place % keep if skip is None else place
         if rest == 0 and 0 <= place < keep:
             self.views["t"][place] = t
-            self._put("points", place, x, mode)
+            self._keep_state("points", place, x, mode)
 
 
 def _arcs(part: Part | Flights) -> Sequence[Arc]:
-    """The arcs of a part, but for those within a sum of impacts."""
+    """The arcs of a part; none for a sum of impacts."""
     return part.arcs if isinstance(part, Flights) else [part] if isinstance(part, Arc) else []
 
 
 def _first_mode(part: Part | Flights | None) -> str | None:
-    """The mode in which a part begins."""
+    """The mode in which a part begins; None without a part."""
     return None if part is None else part.modes[0] if isinstance(part, Flights) else part.mode
 
 
@@ -481,7 +494,7 @@ def _mode_at(part: Part | Flights, t: float) -> str:
 
 
 def number_of(scene: Scene, mode: str) -> int:
-    """A number for a mode of an arc: no other one has it."""
+    """A number for the mode of an arc, unique among all modes and sets of held contacts."""
     if mode in scene.modes:
         return scene.modes.index(mode)
     own, held = parted(mode)

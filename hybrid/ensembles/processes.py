@@ -1,10 +1,11 @@
-"""One function called for many numbers, in this process and, where that takes long, in others.
+"""Calls of one function for many numbers: in this process and, if that takes long, in others.
 
-This process goes on calling from the front of the line while the others start; they take blocks
-from its end. Each is a Python of its own, not a fork (JAX's threads would not survive one), and
-does not import the main program: a script that is not guarded by its name would begin anew there.
-So what is sent must stand in a module, which may have been imported by its path. Before a process
-is believed it gives an answer that is known.
+This process calls the function for numbers from the front of a queue while the others start; they
+take blocks from its end. Each is a new Python process, not a fork (JAX's threads would not survive
+one). It does not import the main program, since a script without a guard ``if __name__ ==
+"__main__"`` would then run again. Classes and functions that are sent must therefore be defined in
+a module, which may have been imported by its path. The first answer of a process is compared with
+a known one before others are accepted.
 """
 
 from __future__ import annotations
@@ -32,18 +33,18 @@ from typing import Any
 from ..errors import HybridError
 from .cores import cores
 
-#: Seconds of calls left, at the pace so far, for which one more process is started: it takes two or
-#: three of a processor until its first answer (to import, to make a model ready, to compile).
+#: One process is started for each so many seconds of calls left, at the pace so far. It needs two
+#: or three seconds of processor time until its first answer (imports, preparation, compilation).
 PAYS = 8.0
 
-#: Seconds of a block, and the share of what is left that it is at most, for each that calls: so
-#: that all end together.
+#: Duration of a block of calls in seconds, and its largest size as a share of one process's part of
+#: the calls left: all processes then end at about the same time.
 BLOCK_SECONDS, BLOCK_SHARE = 0.5, 0.5
 
-#: What a process runs.
+#: The program of a process.
 CODE = "from hybrid.ensembles.processes import serve; serve()"
 
-#: Interrupts from the keyboard are for this process; it ends the others.
+#: Keyboard interrupts reach this process only; it ends the others.
 NEW_SESSION: dict[str, Any] = {"start_new_session": True}
 if sys.platform == "win32":
     NEW_SESSION = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -52,20 +53,21 @@ Call = Callable[[int], Any]
 
 
 class Unfit(HybridError):
-    """Another process cannot answer, or not as this one."""
+    """Another process cannot answer, or answers differently from this one."""
 
 
 class Shared:
-    """Answers of a function.
+    """Results of a function for many numbers, computed in several processes.
 
     Parameters
     ----------
     call : callable ``(number)``
+        The function.
     numbers : iterable of int
     job : callable
-        Gives what makes the function in another process: a callable, and its arguments.
-    same : callable
-        Whether two answers are the same.
+        Returns a callable, and its arguments, that makes the function in another process.
+    same : callable ``(result, result)``
+        Whether two results are equal.
     """
 
     def __init__(
@@ -77,38 +79,38 @@ class Shared:
     ) -> None:
         self.call, self.left, self.job, self.same = call, deque(numbers), job, same
         self.crew: list[_Process] | None = None
-        self.told: SimpleQueue[tuple[list[int], list[Any], Exception | None]] = SimpleQueue()
+        self.received: SimpleQueue[tuple[list[int], list[Any], Exception | None]] = SimpleQueue()
         self.threads: list[Thread] = []
         self.running = 0
         self.pace = 0.0
 
     def answers(self) -> Generator[tuple[int, Any]]:
-        """Numbers and answers, in any order.
+        """Yield pairs (number, result of the function), in any order.
 
         Raises
         ------
         Exception
-            What the function raises, here or in another process.
+            Any exception of the function, in this process or in another one.
         """
         begun, made = None, 0
         try:
             while self.left or self.running:
-                number = _taken(self.left, False)
+                number = _take(self.left, False)
                 for each in number:
                     answer = self.call(each)
-                    if begun is None:  # the first call makes ready what all need
+                    if begun is None:  # the first call also compiles: it is not timed
                         begun = perf_counter()
                     else:
                         made += 1
                         self.pace = (perf_counter() - begun) / made
                     self._hire(each, answer)
                     yield each, answer
-                yield from self._come(wait=not number)
+                yield from self._collect(wait=not number)
         finally:
             self._end()
 
     def _hire(self, number: int, answer: Any) -> None:
-        """Start processes where that pays."""
+        """Start processes if the calls left take long enough; once only."""
         count = min(cores() - 1, int(self.pace * len(self.left) / PAYS))
         if count < 1 or self.crew is not None:
             return
@@ -118,7 +120,7 @@ class Shared:
             for _ in range(count):
                 self.crew.append(_Process(job))
         except (pickle.PicklingError, AttributeError, TypeError, OSError) as fault:
-            _say(f"{fault}; what stands in a module can be sent to {count} of them")
+            _warn(f"{fault}; what stands in a module can be sent to {count} of them")
         for process in self.crew:
             self.threads.append(Thread(target=self._feed, args=(process, answer), daemon=True))
             self.threads[-1].start()
@@ -126,7 +128,8 @@ class Shared:
         logging.getLogger(__name__).info("%d processes beside this one", len(self.crew))
 
     def _feed(self, process: _Process, known: Any) -> None:
-        """Let a process answer, as long as there is something to ask."""
+        """Send blocks of numbers to a process until none are left; runs in a thread. ``known`` is
+        the result with which its first one is compared."""
         block: list[int] = []
         fault: Exception | None = None
         try:
@@ -134,32 +137,32 @@ class Shared:
                 raise Unfit("another process gives another answer")
             while block := self._block():
                 process.ask(block)
-                self.told.put((block, process.answer(), None))
+                self.received.put((block, process.answer(), None))
         except Exception as raised:
             fault = raised
         process.end()
-        self.told.put(([], block, fault))
+        self.received.put(([], block, fault))
 
     def _block(self) -> list[int]:
-        """Numbers from the end of the line."""
+        """Numbers from the end of the queue, for one process."""
         fair = BLOCK_SHARE * len(self.left) / (1 + self.running)
         block: list[int] = []
         while len(block) < max(1.0, min(fair, BLOCK_SECONDS / self.pace)) and self.left:
-            block += _taken(self.left, True)
+            block += _take(self.left, True)
         return block
 
-    def _come(self, wait: bool) -> Iterator[tuple[int, Any]]:
-        """Answers of other processes that have come; one of them is waited for."""
-        while self.running and (wait or not self.told.empty()):
-            numbers, answers, fault = self.told.get()
+    def _collect(self, wait: bool) -> Iterator[tuple[int, Any]]:
+        """Yield the results that other processes have sent; if ``wait``, wait for the first."""
+        while self.running and (wait or not self.received.empty()):
+            numbers, answers, fault = self.received.get()
             wait = False
             if numbers:
                 yield from zip(numbers, answers, strict=True)
                 continue
             self.running -= 1
             if isinstance(fault, Unfit):
-                self.left.extend(answers)  # the numbers asked last
-                _say(str(fault))
+                self.left.extend(answers)  # numbers of the block without results
+                _warn(str(fault))
             elif fault is not None:
                 raise fault
 
@@ -171,7 +174,7 @@ class Shared:
 
 
 class _Process:
-    """Another Python, which has been sent a job and the number of a call."""
+    """Another Python process, to which a job and the number of a first call are sent."""
 
     def __init__(self, job: bytes) -> None:
         path = os.pathsep.join(map(os.path.abspath, sys.path))
@@ -186,11 +189,19 @@ class _Process:
         self.job: bytes | None = job
 
     def ask(self, numbers: list[int]) -> None:
-        """Ask for the answers to some numbers."""
+        """Send numbers for which the process is to call the function."""
         self._send(pickle.dumps(numbers))
 
     def answer(self) -> Any:
-        """What has been asked."""
+        """The results for the numbers sent last; at first, that of the first call.
+
+        Raises
+        ------
+        Unfit
+            If the process has ended, or cannot make the function.
+        Exception
+            Any exception of the function.
+        """
         if self.job is not None:
             job, self.job = self.job, None
             self._send(job)
@@ -214,20 +225,21 @@ class _Process:
             raise Unfit("another process has ended") from None
 
     def end(self) -> None:
-        """End it, and wait until it has."""
+        """End the process, and wait until it has ended."""
         self.process.kill()
         self.process.wait()
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
-                with suppress(OSError):  # what was written last has not been read
+                with suppress(OSError):  # the process has not read all that was written
                     pipe.close()
 
 
 def serve() -> None:
-    """Answer what the process asks that has started this one, until it asks no more."""
+    """The main loop of a process: call the function for the numbers received, until the pipe from
+    the parent process is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers, asked = os.fdopen(os.dup(1), "wb"), sys.stdin.buffer
-    os.dup2(2, 1)  # what a model prints is no answer
+    os.dup2(2, 1)  # so that text printed by a model is not taken for an answer
 
     def tell(*what: Any) -> None:
         answers.write(pickle.dumps(what))
@@ -254,8 +266,8 @@ def serve() -> None:
             tell("fault", _sendable(fault))
 
 
-def _taken(left: deque[int], last: bool) -> list[int]:
-    """The number at one end of the line, if there is one: another thread may have been faster."""
+def _take(left: deque[int], last: bool) -> list[int]:
+    """Remove the last or first number of a queue; an empty list if another thread was faster."""
     try:
         return [left.pop() if last else left.popleft()]
     except IndexError:
@@ -263,7 +275,7 @@ def _taken(left: deque[int], last: bool) -> list[int]:
 
 
 def _sendable(fault: Exception) -> Exception:
-    """An error that another process can be sent, with the place where it was raised."""
+    """An exception that can be pickled, in place of ``fault``, with a note of its traceback."""
     said = "".join(traceback.format_exception(fault))
     try:
         fault = pickle.loads(pickle.dumps(fault))
@@ -274,8 +286,8 @@ def _sendable(fault: Exception) -> Exception:
 
 
 class _Pickler(pickle.Pickler):
-    """Refuses what another process would not find; ``files`` are those of modules that it would
-    not find by their names."""
+    """Raises an error for classes and functions of the main program, which another process cannot
+    import. ``files`` are the paths of modules that it cannot import by name."""
 
     def __init__(self, written: io.BytesIO) -> None:
         super().__init__(written)
@@ -296,6 +308,7 @@ class _Pickler(pickle.Pickler):
 
 
 def _pickled(what: Any) -> bytes:
+    """Two pickles: paths of modules to import first, and ``what``."""
     written = io.BytesIO()
     pickler = _Pickler(written)
     pickler.dump(what)
@@ -310,6 +323,6 @@ def _import(name: str, file: str) -> None:
         spec.loader.exec_module(sys.modules[name])
 
 
-def _say(why: str) -> None:
-    """Say why there are fewer processes."""
+def _warn(why: str) -> None:
+    """Warn that there are fewer processes."""
     warnings.warn(f"hybrid goes on without another process: {why}", stacklevel=2)

@@ -25,7 +25,7 @@ from ..solvers import renamed
 from ..trajectory.trajectory import Status
 from .measures import MeasuredLane, Measures
 from .processes import Shared, Unfit
-from .starts import Lane, Lanes, told
+from .starts import Lane, Lanes, attributes_of
 from .threads import LANE_JUMPS, FlownLanes, GivenLanes, abreast
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from ..automaton.shapes import StateVector
 
-#: What the status of a lane that has failed means; its ``reason`` says where and why.
+#: Meanings of the statuses of lanes that have failed; the lane's ``reason`` says where and why.
 FAILED = {
     "outside": "the start, or a reset, is outside the mode's domain",
     "undecided": "nothing decides what follows from where the lane starts, or a jump has led",
@@ -45,13 +45,13 @@ FAILED = {
     "failed": "something else went wrong",
 }
 
-#: Of a lane in which nothing accumulates: time, error, ratio, verdict.
+#: Time, error, ratio and verdict of the first accumulation, for a lane without accumulations.
 NO_LIMIT = np.nan, np.nan, np.nan, ""
 
-#: How lanes end that are flown by machine code alone.
+#: The status of a lane that compiled code has flown, by the outcome that the rule returns.
 ENDS = {ENDED: Status.REACHED_END, LAST_JUMP: Status.MAX_JUMPS}
 
-#: What each status of a lane means.
+#: Meanings of all statuses of lanes.
 STATUSES = {each.name.lower(): str(each) for each in Status} | FAILED
 
 
@@ -86,8 +86,9 @@ def ensemble(
     progress: Callable[[int], None] | None = None,
     seed: int = 0,
 ) -> xarray.Dataset:
-    """Simulate one model for arrays of starts and parameters: many *lanes*, each of which is a run
-    of :func:`hybrid.simulate`.
+    """Simulate one model for arrays of starts and parameters.
+
+    Each element of the arrays is a *lane*: a run of :func:`hybrid.simulate`.
 
     Parameters
     ----------
@@ -108,8 +109,8 @@ def ensemble(
         As for :func:`hybrid.simulate`. With ``"raise"`` a lane that accumulates fails, with the
         status ``"zeno_raised"``; with ``"ignore"`` it continues up to ``max_jumps``.
     max_jumps, max_steps : int
-        A lane ends after this many computed jumps, or steps. Steps are counted at the end of an
-        arc, and in a long arc now and then.
+        A lane ends after this many computed jumps, or steps. The number of steps is checked at the
+        end of each arc, and several times in a long arc.
     mode : str, optional
         Mode at the start, the same for all lanes; the model's initial mode if omitted.
     history : optional
@@ -121,26 +122,26 @@ def ensemble(
         Whether to compute the verdict on the first accumulation of each lane, and the bound on its
         time, as for a run: by proofs and further runs, at some ten milliseconds for each lane.
     segments : int
-        Has no effect: a lane remembers its whole past.
+        Has no effect: the whole past of a lane is kept.
     measure : sequence of str and callable
         Further columns. The name of an output: its value at the end of each lane and wherever
         states are kept. ``"stick"``: the fraction of time at rest on contacts or sliding.
         ``"period"``: the number of section points after which they repeat, to 1e-6 of their size; 0
         if they do not. ``"lyapunov"``: the largest Lyapunov exponent over the last nine tenths of
-        the time, ``-inf`` where neighbours are lost, NaN where they take another course. A function
-        of the Dataset of all lanes, which returns an array over the lanes; its name is that of the
-        column.
+        the time, ``-inf`` if perturbations vanish in finite time, NaN if there is no first
+        variation. A function of the Dataset of all lanes, which returns an array over the lanes;
+        the column has the name of the function.
     section, crossing
         Keep the states of each lane on a section, as for :func:`hybrid.return_map`: the name of a
         jump, a surface ``(self, t, s)``, a period, or a function ``(self)`` that returns it.
     skip, every, keep : int
-        Of the points on the section, skip the first ones (a transient), then keep one of ``every``,
-        and at most ``keep`` of them. With ``skip=None`` the last ones are kept, and with them the
-        mode after each, the size of each state, and how far the lane still moves.
+        Of the points on the section, skip the first ``skip`` (a transient), then keep one in every
+        ``every``, and at most ``keep`` of them. With ``skip=None`` the last points are kept, and
+        with them the mode after each, the size of each state, and how far the lane still moves.
     save : array, optional
         Times at which the states of each lane are kept.
     progress : callable ``(lanes)``, optional
-        Called with the number of lanes that have ended.
+        Called now and then with the number of lanes that have ended.
     seed : int
         Seed of the random numbers that resets and restitutions draw (``docs/chance.md``), from 0
         to 2^26 - 1; each lane has its own sequence.
@@ -201,24 +202,19 @@ def ensemble(
     begins = mode_of(scene, mode)
     runs = _Runs(Lanes(model, *given), _asked(scene, options), begins, certify, measures)
     _require_names(runs.lanes, measures)
-    if section is not None:  # a fault of it is no lane's own
+    if section is not None:  # raise the errors of an invalid section here, not in each lane
         measures.section_of(runs.lanes.lane(0), runs.lanes)
 
     def job() -> tuple[Any, ...]:
         own = model, given, options, begins, certify, measures.alone
         return _flier, digest(type(model)), *own
 
-    with closing(runs.all(scene, job)) as flown:
-        for _ in flown:
-            if progress is not None:
-                progress(int(np.count_nonzero(runs.rows.done)))
-    if len(runs.refused) == runs.lanes.count:
-        raise runs.refused[0]
+    runs.fly(scene, job, progress)
     return _dataset(scene.spec, runs.lanes, runs.rows, measures)
 
 
 def _require_options(spec: Spec, parameters: Any, certify: Any, progress: Any) -> None:
-    """Refuse options that no lane could use."""
+    """Raise an :class:`OptionError` for options that no lane could use."""
     if not isinstance(parameters, Mapping | None):
         raise OptionError(
             f"{spec.model}: parameters={short(parameters)}: values by name, {{name: values}}"
@@ -230,7 +226,7 @@ def _require_options(spec: Spec, parameters: Any, certify: Any, progress: Any) -
 
 
 def _require_names(lanes: Lanes, measures: Measures) -> None:
-    """Refuse a model whose states or varied parameters are named as columns of the table are."""
+    """Raise an :class:`OptionError` if a state or a varied parameter has the name of a column."""
     columns = {"lane", *_Row._fields} - {"x", "measured"}
     columns |= set(measures.coordinates())
     columns |= {"hits", "t_section"} if measures.section is not None else set()
@@ -255,7 +251,10 @@ def _flier(
     certify: bool,
     measures: Measures,
 ) -> Callable[[int], _Ended]:
-    """What flies a lane, by its number, in another process; ``known`` is the model's digest."""
+    """The function of a lane's number that flies the lane in another process.
+
+    Raises :class:`Unfit` if the model's digest there differs from ``known``.
+    """
     if digest(type(model)) != known:
         raise Unfit(f"{type(model).__name__} is another class there: its file has changed")
     lanes = Lanes(model, *given)
@@ -265,7 +264,8 @@ def _flier(
 
 
 def solver_for(scene: Scene, solver: str | None, method: Any) -> str:
-    """The solver of an ensemble: the one named; else Taylor series, where the model has them."""
+    """The solver of an ensemble: the one given, else ``"taylor"`` if all flows have power series
+    and there are no delays, else ``"scipy"``."""
     if solver is not None:
         return solver
     series = method is None and not scene.spec.lags
@@ -274,7 +274,7 @@ def solver_for(scene: Scene, solver: str | None, method: Any) -> str:
 
 
 class _Row(NamedTuple):
-    """What is kept of a lane that has ended."""
+    """The result of a lane: a row of the table of lanes."""
 
     t: float
     x: StateVector
@@ -292,7 +292,7 @@ class _Row(NamedTuple):
 
 
 class _Rows:
-    """The rows of all lanes, as columns; ``done`` says which are there."""
+    """The table of lanes, as columns; ``done`` marks the lanes that have ended."""
 
     def __init__(self, count: int, dimension: int, measured: int) -> None:
         self.done = np.zeros(count, dtype=bool)
@@ -305,28 +305,29 @@ class _Rows:
         }
 
     def put(self, where: Any, row: _Row) -> None:
-        """Put a row, or columns of some."""
+        """Write the row of lane ``where``, or, for an array of lanes, a row of columns."""
         self.done[where] = True
         for name, value in zip(_Row._fields, row, strict=True):
             self.columns[name][where] = value
 
 
 class _Ended(NamedTuple):
-    """What became of a lane; ``refused`` says why it cannot use the options."""
+    """The result of a lane; ``refused`` is the error of an option that it cannot use."""
 
     row: _Row
     refused: OptionError | None
 
 
 def _same(one: _Ended, other: _Ended) -> bool:
-    """Whether a lane is the same to the last bit."""
+    """Whether two results of a lane agree to the last bit."""
     rows = [[np.asarray(value).tolist() for value in each.row] for each in (one, other)]
     return repr(rows[0]) == repr(rows[1])
 
 
 @attrs.frozen(eq=False)
 class _Runs:
-    """The runs of an ensemble; ``refused`` says why some cannot use the options."""
+    """The runs of an ensemble, and their results in ``rows``; ``refused`` lists the errors of lanes
+    that cannot use an option."""
 
     lanes: Lanes
     asked: Asked
@@ -340,14 +341,24 @@ class _Runs:
     def _(self) -> _Rows:
         return _Rows(self.lanes.count, self.asked.spec.dimension, self.measures.size)
 
+    def fly(self, scene: Scene, job: Callable[[], tuple[Any, ...]], progress: Any) -> None:
+        """Fly all lanes, reporting progress; raises an :class:`OptionError` if no lane can use the
+        options. ``job`` is that of :class:`.Shared`."""
+        with closing(self.all(scene, job)) as flown:
+            for _ in flown:
+                if progress is not None:
+                    progress(int(np.count_nonzero(self.rows.done)))
+        if len(self.refused) == self.lanes.count:
+            raise self.refused[0]
+
     def all(self, scene: Scene, job: Callable[[], tuple[Any, ...]]) -> Generator[None]:
-        """Fly all lanes; ``job`` says what flies one in another process."""
+        """Fly all lanes; yields whenever some have ended."""
         yield from self.plain(scene)
         yield from self.others(job)
 
     def plain(self, scene: Scene) -> Iterator[None]:
-        """Fly lanes that need no judgement, some at a time; of those that are looked at on their
-        way the ones of which jumps say all that is asked for."""
+        """Fly the lanes that compiled code can fly alone, some at a time; with measures, only if
+        these follow from the jumps."""
         lanes, rows = self.lanes, 0
         if self.measures.anything:
             if not self.measures.jumps_only:
@@ -355,7 +366,7 @@ class _Runs:
             rows = LANE_JUMPS
         try:
             driver = self.asked.driver(scene, lanes.t[0].tolist(), lanes.x[0], lanes.before(0))
-        except HybridError:  # it is the lanes' own
+        except HybridError:  # raised again for each lane that it concerns
             return
         given = GivenLanes(lanes.values, lanes.t, lanes.x)
         together = abreast(scene, driver, self.mode, given, rows)
@@ -364,7 +375,8 @@ class _Runs:
             yield
 
     def _put(self, together: Any, flown: FlownLanes) -> None:
-        """Put down lanes that machine code has flown; one to be certified needs its run."""
+        """Write the rows of lanes that compiled code has flown, except those with an accumulation
+        to be certified, for which a run is needed."""
         for outcome, status in ENDS.items():
             fit = flown.told[:, OUTCOME] == outcome
             if self.certify:
@@ -380,7 +392,7 @@ class _Runs:
             self.rows.put(which, _Row._make((t, x, names, *counts, t_inf, error, ratio, *said)))
 
     def _measured(self, together: Any, flown: FlownLanes) -> Any:
-        """What is asked for of lanes besides their ends, from their jumps."""
+        """The measures of lanes, from their jumps; NaN without measures."""
         if not self.measures.anything:
             return np.nan
         edges = [guard.edge == self.measures.section for guard in together.tables.guards]
@@ -388,7 +400,7 @@ class _Runs:
         return self.measures.of_jumps(fired, flown.when, flown.around[:, :, 1])
 
     def others(self, job: Callable[[], tuple[Any, ...]]) -> Iterator[None]:
-        """Fly the lanes that are left, one by one, here and in other processes."""
+        """Fly the lanes that are left, one by one, in this process and in others."""
         left = np.flatnonzero(~self.rows.done).tolist()
         shared = Shared(lambda i: self.row(self.lanes.lane(i)), left, job, _same)
         with closing(shared.answers()) as answers:
@@ -399,7 +411,7 @@ class _Runs:
                 yield
 
     def row(self, lane: Lane) -> _Ended:
-        """Fly a lane."""
+        """Fly a lane, with its measures."""
         if not self.measures.anything:
             return self._flown(lane, None)
         watched = MeasuredLane(self.measures, lane, self.measures.section_of(lane, self.lanes))
@@ -407,7 +419,7 @@ class _Runs:
         return _Ended(row._replace(measured=watched.end()), refused)
 
     def _flown(self, lane: Lane, watched: MeasuredLane | None) -> _Ended:
-        """Fly a lane; ``watched`` looks at it in place of a log that keeps it."""
+        """Fly a lane; ``watched`` takes the place of the log that would keep its trajectory."""
         driver, asked = None, self.asked
         try:
             if watched is not None and watched.dense:
@@ -427,7 +439,7 @@ class _Runs:
     def _fly(self, driver: Driver, x: StateVector) -> None:
         try:
             driver.run(self.mode, x)
-        finally:  # what accumulates before a fault is told, too
+        finally:  # accumulations before a fault are reported as well
             give_errors(driver, self.asked.solver, self.asked.method, self.mode, x)
         self.asked.judge(driver)
 
@@ -460,11 +472,11 @@ def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measures: Measures) -> xarra
     record = spec.record(x)
     for state in spec.states:
         dims = "lane", *(f"{state.name}_{i}" for i in range(len(state.shape)))
-        made[state.name] = dims, record[state.name], told(state)
+        made[state.name] = dims, record[state.name], attributes_of(state)
     for output in (spec.output(name) for name in measures.outputs):
         v = evaluated(spec, output.name, [*lanes.parameters, *lanes.samples], columns["t"], x, True)
         dims = "lane", *(f"{output.name}_{i}" for i in range(v.ndim - 1))
-        made[output.name] = dims, v, told(output)
+        made[output.name] = dims, v, attributes_of(output)
     table = xarray.Dataset(
         made | measures.columns(lanes, numbers),
         coords=lanes.coordinates() | measures.coordinates(),
@@ -474,7 +486,13 @@ def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measures: Measures) -> xarra
 
 
 def _of(table: xarray.Dataset, function: Callable[..., Any]) -> np.ndarray:
-    """What a function makes of the table: a column."""
+    """The column that a function computes from the table.
+
+    Raises
+    ------
+    OptionError
+        If it does not return one value for each lane.
+    """
     column, lanes = np.asarray(function(table)), table.sizes["lane"]
     if column.shape != (lanes,):
         raise OptionError(

@@ -1,4 +1,4 @@
-"""What is asked of each lane of an ensemble, as arrays."""
+"""Starts, times and parameters of the lanes of an ensemble, as arrays."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Lane(NamedTuple):
-    """What is asked of one lane."""
+    """One lane: its number, its scene, first and last time, start and history."""
 
     number: int
     scene: Scene
@@ -35,13 +35,14 @@ class Lane(NamedTuple):
 
 
 class Lanes:
-    """What is asked of each lane, as arrays.
+    """Starts, times and parameters of all lanes, with one row for each lane.
 
     Attributes
     ----------
     count : int
+        Number of lanes.
     varied : dict
-        What differs between lanes, by name.
+        The given arrays over the lanes, by name.
     """
 
     def __init__(
@@ -72,12 +73,7 @@ class Lanes:
         if isinstance(history, Mapping | Record):
             self.history = {name: history[name] for name in history.keys()}
             before = [(self._past(name, v), self._shape(name)) for name, v in self._constants()]
-        differ: dict[str, Any] = self.varied | {n: v for n, v in self._signals.items() if v[1:]}
-        counts = {len(v) for v in differ.values()}
-        if len(counts) > 1:
-            each = ", ".join(f"{name}: {len(v)}" for name, v in differ.items())
-            raise OptionError(f"{self.spec.model}: lanes differ in number ({each})")
-        self.count = counts.pop() if counts else 1
+        self.count = self._counted()
         self.x, self.values, self.t = map(self._rows, (states, parameters, times))
         if self.spec.chances and not has_stream(start):
             self.x[:, self.spec.place(STREAM)] += np.arange(self.count)
@@ -85,8 +81,17 @@ class Lanes:
         if not np.all(self.t[:, 1] > self.t[:, 0]):
             raise OptionError(f"t={short(t)}: the first time before the last, in every lane")
 
+    def _counted(self) -> int:
+        """The number of lanes; raises an :class:`OptionError` if arrays differ in length."""
+        differ: dict[str, Any] = self.varied | {n: v for n, v in self._signals.items() if v[1:]}
+        counts = {len(v) for v in differ.values()}
+        if len(counts) > 1:
+            each = ", ".join(f"{name}: {len(v)}" for name, v in differ.items())
+            raise OptionError(f"{self.spec.model}: lanes differ in number ({each})")
+        return counts.pop() if counts else 1
+
     def lane(self, i: int) -> Lane:
-        """One of the lanes."""
+        """Lane number ``i``."""
         samples = tuple(each.lanes[i] for each in self.samples)
         scene = scene_with(self.cls, self.shapes, tuple(self.values[i].tolist()), samples)
         t0, t1 = self.t[i].tolist()
@@ -101,21 +106,21 @@ class Lanes:
 
     @property
     def parameters(self) -> list[np.ndarray]:
-        """The values of each parameter, the lanes as first axis."""
+        """The values of each parameter; the first axis is that of the lanes."""
         ends = np.cumsum([math.prod(shape) for shape in self.shapes])[:-1]
         columns = np.split(self.values, ends, axis=1) if self.shapes else []
         pairs = zip(columns, self.shapes, strict=True)
         return [column.reshape((self.count, *shape)) for column, shape in pairs]
 
     def coordinates(self) -> dict[str, Any]:
-        """The starts and parameters that vary, with their units."""
+        """Coordinates of a Dataset: the starts and parameters that vary, with their units."""
         states = {f"{s.name}_{what}": s for s in self.spec.states for what in ("start", "history")}
         known: dict[str, Any] = {p.name: p for p in self.spec.parameters} | states
         return {
             name: (
                 ("lane", *(f"{name}_{i}" for i in range(v.ndim - 1))),
                 v,
-                told(known[name]) if name in known else {},
+                attributes_of(known[name]) if name in known else {},
             )
             for name, v in self.varied.items()
         }
@@ -130,7 +135,7 @@ class Lanes:
         return found
 
     def _constants(self) -> list[tuple[str, Any]]:
-        """What of a history is no function of time, and so may differ between lanes."""
+        """The states, with values, whose history is constant; these may differ between lanes."""
         known = self.spec.names
         return [(n, v) for n, v in self.history.items() if n in known and not callable(v)]
 
@@ -141,14 +146,17 @@ class Lanes:
         return self.spec.states[self.spec.names.index(name)].shape
 
     def before(self, i: int) -> Any:
-        """The history of a lane."""
+        """The history of lane number ``i``."""
         if not self.known:
             return self.history
         own = zip(self._constants(), self.known, strict=True)
         return {**self.history, **{name: values[i] for (name, _), values in own}}
 
     def _array(self, name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-        """A value for all lanes, or one for each."""
+        """A value for all lanes, of the given shape, or an array of values, one for each lane.
+
+        Such an array is added to ``varied``. Raises a :class:`StartError` for other values.
+        """
         where = f"{self.spec.model}: {name}"
         try:
             array = reals(value)
@@ -168,18 +176,18 @@ class Lanes:
         return np.broadcast_to(array, (self.count, *shape))
 
     def _rows(self, columns: list[tuple[np.ndarray, tuple[int, ...]]]) -> Matrix:
-        """A row of numbers for each lane."""
+        """Columns of values as one array with a row of numbers for each lane."""
         parts = [self._full(v, shape).reshape(self.count, -1) for v, shape in columns]
         return np.concatenate([np.empty((self.count, 0)), *parts], axis=1)
 
 
-def told(what: Any) -> dict[str, str]:
-    """Unit and description of a state, a parameter or an output."""
+def attributes_of(what: Any) -> dict[str, str]:
+    """Unit and description of a state, a parameter or an output, as attributes of a variable."""
     return {"units": what.unit, "long_name": what.doc or what.name}
 
 
 def _check(model: Any, given: dict[str, Any]) -> None:
-    """Let the model's own validators see the extremes of the parameters given."""
+    """Raise if a parameter is unknown, or the model's validators reject its extreme values."""
     spec = model.spec
     unknown = [name for name in given if name not in {p.name for p in spec.parameters}]
     if unknown:
@@ -190,7 +198,7 @@ def _check(model: Any, given: dict[str, Any]) -> None:
 
 
 def _end(spec: Spec, name: str, value: Any, extreme: Any) -> Any:
-    """The least, or the greatest, of a parameter's values."""
+    """The least or the greatest (``extreme``) of a parameter's values."""
     where = f"{spec.model}: parameters {name}={short(value)}"
     try:
         array = reals(value)

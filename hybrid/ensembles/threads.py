@@ -1,9 +1,9 @@
-"""Lanes flown by machine code alone, several at once: no Python, and so no lock, is in their way.
+"""Lanes integrated by compiled code alone, in threads that run in parallel (no interpreter lock).
 
-A lane is one for :mod:`hybrid.rules.lanes` as long as the driver of a run would have left all of it
-to the rules' own loop. What that makes of a lane is then what its run is, to the last bit, or with
-an explicit Runge-Kutta pair, which steps here by tables, but for rounding; the others are left to
-the driver.
+:mod:`hybrid.rules.lanes` can integrate a lane if the driver of a run would leave all of it to the
+rules' loop. The result then equals that of the run to the last bit (with an explicit Runge-Kutta
+pair, whose steps are made here from its tables, up to rounding). Other lanes are left to the
+driver. To *fly* a lane means to integrate it through its jumps.
 """
 
 from __future__ import annotations
@@ -29,24 +29,34 @@ if TYPE_CHECKING:
     from ..automaton.shapes import Integers, Mask, Matrix, StateVectors
     from ..lowering.python import Scalar
 
-#: Lanes in a call, at most and at least: between two calls progress is told. Within these
-#: bounds there are so many calls for each thread, that all end together.
+#: Most and fewest lanes in a call, between which progress is reported; and calls for each thread,
+#: within these bounds, so that all threads end at about the same time.
 BLOCK_LANES, LEAST_LANES, CALLS_EACH = 256, 8, 4
 
-#: Jumps of a call, of those that are kept: what is kept of them takes some megabytes.
+#: Most jumps that are kept in a call; they take some megabytes.
 BLOCK_JUMPS = 2**17
 
-#: Lanes that are flown first, to see what the tables of all must have.
+#: Lanes that are flown first, to find which fields and guards the tables must contain.
 FIRST_LANES = 16
 
-#: Most jumps, steps and sums of a lane that is flown here: some tenths of a second, after which the
-#: keyboard is heard.
+#: Most jumps, steps and sums of a lane that is flown here. They take some tenths of a second, for
+#: which a keyboard interrupt has to wait.
 LANE_JUMPS, LANE_STEPS, LANE_SUMS = 8192, 65536, 64
 
 
 class FlownLanes(NamedTuple):
-    """What became of some lanes: which they are, what the rule tells of each, and of its first
-    jumps the times, the guards, and the states before and after."""
+    """Results of some lanes, with one row for each.
+
+    Attributes
+    ----------
+    lanes : array of int, shape (k,)
+        Numbers of the lanes.
+    ends, told : arrays
+        Numbers and integers that the rule returns; columns as in :mod:`hybrid.rules.lanes`.
+    when, fired, around : arrays, shapes (k, jumps), (k, jumps) and (k, jumps, 2, n)
+        Time and guard of the first jumps, and the states before and after them; -1 for a guard, and
+        NaN, where there are fewer.
+    """
 
     lanes: np.ndarray
     ends: np.ndarray
@@ -56,12 +66,12 @@ class FlownLanes(NamedTuple):
     around: np.ndarray
 
     def those(self, fit: Mask) -> FlownLanes:
-        """Those that a mask says."""
+        """The results of the lanes that a mask selects."""
         return self if fit.all() else FlownLanes(*(column[fit] for column in self))
 
 
 class GivenLanes(NamedTuple):
-    """Parameters, first and last times, and starts: a row for each lane."""
+    """Parameters, first and last times, and starts, with a row for each lane."""
 
     values: np.ndarray
     spans: np.ndarray
@@ -76,9 +86,18 @@ def abreast(
     rows: int = 0,
     flies: type[Any] | None = None,
 ) -> Any:
-    """What flies the lanes of an ensemble by machine code alone; None where their runs are not
-    plain. ``driver`` is the run of one of them, which has not begun; ``rows`` says how many jumps
-    of each are kept."""
+    """An :class:`Abreast` for the lanes of an ensemble; None if the options or the model require
+    the driver.
+
+    Parameters
+    ----------
+    driver : Driver
+        The run of one of the lanes, not yet begun.
+    rows : int
+        How many jumps of each lane are kept.
+    flies : type, optional
+        The subclass of :class:`Abreast` to make.
+    """
     plan, loop, solver = driver.plan, driver.loop, driver.solver
     if loop is None or plan.bounded or plan.zeno == "truncate" or scene.samples:
         return None
@@ -90,7 +109,7 @@ def abreast(
 
 
 def _alike(scene: Scene, values: Matrix) -> bool:
-    """Whether the same guards bound their modes with the parameters of each lane."""
+    """Whether, with the parameters of each lane, the same guards bound the domains of the modes."""
     code, edges = scene.code, scene.spec.transitions
     kicks = [edge for edge in edges if code.kicks(edge)]
     own = [code.bounds(edge, scene.values) for edge in kicks]
@@ -98,7 +117,7 @@ def _alike(scene: Scene, values: Matrix) -> bool:
 
 
 class Abreast:
-    """Flies the lanes of an ensemble whose runs are plain."""
+    """Flies the lanes of an ensemble in threads of compiled code."""
 
     def __init__(
         self, scene: Scene, driver: Driver, mode: str, lanes: GivenLanes, rows: int
@@ -115,7 +134,7 @@ class Abreast:
         self.whole = plan.max_jumps <= LANE_JUMPS  # else a lane with more is left to the driver
 
     def fly(self) -> Iterator[FlownLanes]:
-        """What becomes of the lanes, some at a time, in any order."""
+        """Yield the results of lanes, in any order; lanes that need the driver are left out."""
         few, rest = np.split(np.arange(len(self.given.starts)), [FIRST_LANES])
         yield from self.complete(few)
         to_come = self.steps * len(rest) // FIRST_LANES
@@ -123,11 +142,11 @@ class Abreast:
         yield from self.complete(rest)
 
     def mode(self, number: int) -> str:
-        """The name of a field."""
+        """The mode of field ``number``."""
         return self.tables.fields[number].name
 
     def final(self, flown: FlownLanes) -> StateVectors:
-        """The states at the ends of lanes."""
+        """The final states of lanes, shape ``(k, n)``; at rest or sliding, projected."""
         n = self.given.starts.shape[1]
         until, x = flown.ends[:, FLOWN_TO].tolist(), flown.ends[:, STATE : STATE + n].copy()
         ended, number = flown.told[:, OUTCOME] == ENDED, flown.told[:, MODE]
@@ -139,9 +158,8 @@ class Abreast:
         return x
 
     def onto(self, number: int, lanes: list[int]) -> Iterator[Scalar]:
-        """What moves the state at the end of an arc in a field, of one lane after another, onto the
-        contacts held, or the surface on which it slides, as a run keeps it; nothing where it stays
-        as it is."""
+        """For each lane, the projection ``(t, x)`` onto the held contacts or the sliding surface of
+        field ``number``; empty if the field has neither."""
         field = self.tables.fields[number]
         if field.project is None:
             return iter(())
@@ -149,7 +167,7 @@ class Abreast:
         return (onto(tuple(values)) for values in self.given.values[lanes].tolist())
 
     def complete(self, which: Integers) -> Iterator[FlownLanes]:
-        """Fly lanes, again those that ask for what the tables do not have yet."""
+        """Fly lanes; those that need a field or guard that the tables lack are repeated with it."""
         while len(which):
             self._lay_out()
             asking = []
@@ -165,7 +183,7 @@ class Abreast:
                 self.tables.complete(guard, column, bounded)
 
     def _lay_out(self) -> None:
-        """What the lanes' own numbers are put into."""
+        """Lay out the programs, into which the parameters of each lane are inserted."""
         parts, bounded = self.tables.parts, self.tables.bounds.given
         key = len(parts), len(bounded)
         if key not in self.laid_out:
@@ -173,7 +191,11 @@ class Abreast:
         self.programs = self.laid_out[key]
 
     def steady(self, parts: Sequence[Jets], bounded: Any) -> tuple[np.ndarray, ...]:
-        """The programs' steady parts, one behind the other, and where each begins."""
+        """The parts of the programs that do not depend on time and state, concatenated.
+
+        Returns where each begins and ends in these arrays, the places of parameters in the programs
+        and in the bounds, and two arrays of operations.
+        """
         ends, rows, given = np.zeros(4, dtype=np.int64), [], []
         columns = self.given.values.shape[1]
         for part in parts:
@@ -192,6 +214,7 @@ class Abreast:
         )
 
     def _in_threads(self, which: Integers) -> Iterator[FlownLanes]:
+        """Fly lanes in blocks, in as many threads as there are cores."""
         threads = cores()
         most = min(BLOCK_LANES, BLOCK_JUMPS // max(1, self.rows))
         size = max(LEAST_LANES, min(most, len(which) // (CALLS_EACH * threads)))
@@ -215,7 +238,7 @@ class Abreast:
             self.stop[0] = 0
 
     def _block(self, automaton: AutomatonArrays, which: Integers) -> tuple[FlownLanes, int]:
-        """Some lanes, with arrays of their own."""
+        """Fly a block of lanes in own work arrays; returns the results and the number of steps."""
         asked = [np.ascontiguousarray(rows[which]) for rows in self.given]
         count, n = asked[-1].shape
         ends, told = np.empty((count, STATE + 2 * n)), np.zeros((count, TOLD), dtype=np.int64)
@@ -240,17 +263,18 @@ class Abreast:
         return FlownLanes(which, ends, told, when, fired, around), steps
 
     def _call(self, which: Integers, automaton: tuple[Any, ...], lanes: tuple[Any, ...]) -> int:
-        """Fly some lanes; returns the steps made."""
+        """Call the rule that flies lanes; returns the number of steps."""
         fly: Any = unit("lanes").lanes
         return fly(*automaton, *lanes)  # type: ignore[no-any-return]
 
     @property
     def _needs(self) -> tuple[Any, ...]:
-        """What the arrays to work in depend on."""
+        """Key of the work arrays: the sizes on which they depend."""
         return "lanes", *self.tables.needs, self.loop.order, *self.most
 
     def _own(self, automaton: AutomatonArrays) -> tuple[Any, ...]:
-        """An automaton, and it with numbers of its own, these, and what else a thread writes to."""
+        """The arrays to which a thread writes: the automaton, a copy of it with numbers of its own,
+        these numbers, the state of the run, and the tables of a Runge-Kutta pair."""
         solver, n = self.solver, self.scene.spec.dimension
         numbers, ranged = automaton.programs.numbers.copy(), automaton.bounds.numbers.copy()
         own = automaton._replace(

@@ -1,4 +1,4 @@
-"""Runs as pure functions inside the user's own JAX, with derivatives."""
+"""Runs as pure functions, with derivatives, for the user's own JAX programs."""
 
 from .function import REASONS, JumpTable, Limit, Outcome, as_function
 

@@ -1,8 +1,9 @@
-"""Many runs as rows of numbers, at once: what :func:`hybrid.as_function` gives under ``vmap``.
+"""Results and derivatives of many runs at once, for :func:`hybrid.as_function` under ``vmap``.
 
-A row in which nothing needs judgement is a lane that machine code flies alone, on all cores
-(:mod:`.abreast`), and so are its derivatives (:mod:`hybrid.rules.changes`); the others are run one
-after another.
+A run is given by a row of numbers: parameters, start, first and last time. Rows that do not need
+the driver of a run are lanes that compiled code flies on all cores
+(:mod:`hybrid.ensembles.threads`), with their derivatives (:mod:`hybrid.rules.changes`); the other
+rows are run one after another.
 """
 
 from __future__ import annotations
@@ -42,18 +43,25 @@ from .derivatives import REASON_NUMBERS, Runs
 if TYPE_CHECKING:
     from ..automaton.shapes import IntegerMatrix, Integers, Mask, Matrix
 
-#: Rows from which on they are flown together: to begin takes as long as two or three runs.
+#: Fewest rows that are flown together: to prepare that takes as long as two or three runs.
 FEWEST_ROWS = 4
 
 Flies = TypeVar("Flies", bound=Abreast)
 
 
 def values(runs: Runs, rows: Any) -> tuple[np.ndarray, np.ndarray]:
-    """What runs give: numbers; and the places of their edges, the counts of jumps, the statuses.
+    """The results of runs.
 
     Parameters
     ----------
     rows : array, shape (..., numbers)
+
+    Returns
+    -------
+    array of float, shape (..., length)
+        The results in the order of :class:`.Layout`.
+    array of int, shape (..., jumps + 2)
+        The edge of each jump, as its index in ``runs.edges``; the number of jumps; the status.
     """
     rows = np.asarray(rows)
     flat = rows.reshape(-1, rows.shape[-1])
@@ -61,51 +69,53 @@ def values(runs: Runs, rows: Any) -> tuple[np.ndarray, np.ndarray]:
     ints = np.full((len(flat), runs.layout.rows + 2), -1)
     done = np.zeros(len(flat), dtype=bool)
     if len(flat) >= FEWEST_ROWS:
-        _together(runs, flat, numbers, ints, done)
+        _fly_together(runs, flat, numbers, ints, done)
     for k in np.flatnonzero(~done).tolist():
         numbers[k], ints[k] = runs.values(flat[k])
     shape = rows.shape[:-1]
     return numbers.reshape(*shape, -1), ints.reshape(*shape, -1)
 
 
-def _together(runs: Runs, rows: Matrix, numbers: Matrix, ints: IntegerMatrix, done: Mask) -> None:
-    """Fly those that need no judgement, and put down what they give."""
-    fit = np.flatnonzero(_usual(rows))
-    together = _first(runs, rows[fit], Abreast) if len(fit) else None
+def _fly_together(
+    runs: Runs, rows: Matrix, numbers: Matrix, ints: IntegerMatrix, done: Mask
+) -> None:
+    """Fly the rows that do not need a driver; write their results, and mark them as done."""
+    fit = np.flatnonzero(_valid(rows))
+    together = _flier(runs, rows[fit], Abreast) if len(fit) else None
     if together is None:
         return
     for flown in together.fly():
         which = fit[flown.lanes]
-        numbers[which], ints[which] = _given(runs, together, flown)
+        numbers[which], ints[which] = _results(runs, together, flown)
         done[which] = True
 
 
-def _usual(rows: Matrix) -> Mask:
-    """Which rows ask for what may be flown."""
+def _valid(rows: Matrix) -> Mask:
+    """Which rows are finite and have a last time after the first."""
     fit: np.ndarray = np.isfinite(rows).all(axis=1) & (rows[:, -1] > rows[:, -2])
     return fit
 
 
-def _parted(runs: Runs, rows: Matrix) -> GivenLanes:
-    """Parameters, times and starts."""
+def _lanes_of(runs: Runs, rows: Matrix) -> GivenLanes:
+    """Parameters, times and starts of rows."""
     first = -2 - runs.layout.size
     return GivenLanes(rows[:, :first], rows[:, -2:], rows[:, first:-2])
 
 
-def _first(runs: Runs, rows: Matrix, flies: type[Flies]) -> Flies | None:
-    """What flies rows, made for the first of them; None where their runs are not plain."""
-    lanes, kept = _parted(runs, rows), runs.layout.rows if "times" in runs.layout.places else 0
+def _flier(runs: Runs, rows: Matrix, flies: type[Flies]) -> Flies | None:
+    """An instance of ``flies``, made with the first of the rows; None if they need a driver."""
+    lanes, kept = _lanes_of(runs, rows), runs.layout.rows if "times" in runs.layout.places else 0
     scene = scene_with(runs.cls, runs.shapes, tuple(lanes.values[0].tolist()), runs.samples)
     try:
         asked = attrs.evolve(runs.asked, save="jumps")
         driver = asked.driver(scene, lanes.spans[0].tolist(), lanes.starts[0].copy(), runs.history)
-    except HybridError:  # it is the row's own
+    except HybridError:  # raised again when the row is run alone
         return None
     return abreast(scene, driver, runs.mode, lanes, kept, flies)
 
 
-def _given(runs: Runs, together: Abreast, flown: FlownLanes) -> tuple[np.ndarray, np.ndarray]:
-    """What some lanes give, as :meth:`hybrid.functions.derivatives.Runs.values` does for one."""
+def _results(runs: Runs, together: Abreast, flown: FlownLanes) -> tuple[np.ndarray, np.ndarray]:
+    """The results of lanes, as :func:`values` returns them."""
     layout, ends, told = runs.layout, flown.ends, flown.told
     numbers = np.full((layout.length, len(ends)), np.nan)
     ints = np.full((len(ends), layout.rows + 2), -1)
@@ -132,30 +142,30 @@ def _given(runs: Runs, together: Abreast, flown: FlownLanes) -> tuple[np.ndarray
 
 
 # ---------------------------------------------------------------------------------------
-# and their derivatives
+# derivatives
 
 
 class Gradients:
-    """What runs give, and its derivatives by the numbers of their rows."""
+    """The results of runs and their derivatives by the numbers of their rows, as a function."""
 
     def __init__(self, runs: Runs) -> None:
         self.runs = runs
         self._made: Changing | None = None
 
     def __call__(self, rows: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As :func:`values`, and behind it the derivatives, shape ``(..., length, numbers)``."""
+        """The results as :func:`values`, then the derivatives, shape ``(..., length, numbers)``."""
         rows, layout = np.asarray(rows), self.runs.layout
         flat = rows.reshape(-1, rows.shape[-1])
         numbers = np.full((len(flat), layout.length), np.nan)
         ints = np.full((len(flat), layout.rows + 2), -1)
         slopes = np.full((*numbers.shape, flat.shape[1]), np.nan)
         left = np.ones(len(flat), dtype=bool)
-        fit = np.flatnonzero(_usual(flat))
+        fit = np.flatnonzero(_valid(flat))
         together = self.together(flat[fit]) if len(fit) else None
         if together is not None:
             for flown, found in together.changes():
                 which = fit[flown.lanes]
-                numbers[which], ints[which] = _given(self.runs, together, flown)
+                numbers[which], ints[which] = _results(self.runs, together, flown)
                 slopes[which], left[which] = found[:, self._sources], False
         slopes[:, self._sources < 0] = np.nan
         for k in np.flatnonzero(left).tolist():
@@ -164,14 +174,14 @@ class Gradients:
         return tuple(a.reshape(*shape, *a.shape[1:]) for a in (numbers, ints, slopes))  # type: ignore[return-value]
 
     def together(self, rows: Matrix) -> Changing | None:
-        """What flies the rows; it is made with the first that can be flown."""
+        """The flier of rows, which keeps its tables between calls; None if rows need a driver."""
         if self._made is None:
-            self._made = _first(self.runs, rows, Changing)
-        return None if self._made is None else self._made.of(_parted(self.runs, rows))
+            self._made = _flier(self.runs, rows, Changing)
+        return None if self._made is None else self._made.of(_lanes_of(self.runs, rows))
 
     @cached_property
     def _sources(self) -> np.ndarray:
-        """Of each number that runs give the row of what the rule finds; -1 where there is none."""
+        """For each result, its row in the derivatives that the rule returns; -1 if it has none."""
         layout = self.runs.layout
         n, rows = layout.size, layout.rows
         first = 3 + 2 * n
@@ -186,7 +196,15 @@ class Gradients:
 
 
 class Changing(Abreast):
-    """Flies lanes, and carries their changes."""
+    """Flies lanes, and carries the derivatives by the numbers of their rows along.
+
+    Attributes
+    ----------
+    asked : array of int, shape (lanes, 2)
+        Status of the derivatives of each lane, and the field or guard that the rule lacks.
+    found : array, shape (lanes, rows, numbers)
+        The derivatives.
+    """
 
     asked: np.ndarray
     found: np.ndarray
@@ -200,7 +218,7 @@ class Changing(Abreast):
         self.bends = any(scene.field(name).changes for name in scene.modes)
 
     def of(self, lanes: GivenLanes) -> Changing:
-        """The same for other lanes."""
+        """A copy for other lanes, which shares the tables."""
         other, (count, n), columns = copy(self), lanes.starts.shape, lanes.values.shape[1]
         other.given, other.stop = lanes, np.zeros(1, dtype=np.int64)
         other.asked = np.zeros((count, 2), dtype=np.int64)
@@ -213,12 +231,12 @@ class Changing(Abreast):
         return *super()._needs, self.bends
 
     def _left(self, n: int) -> Left:
-        """With the series of steps, where a flow may change its formula in one."""
+        """The work arrays; if formulas of the flow change, with room for the series of steps."""
         rows = self.most[1] * n if self.bends else 0
         return left_for(n, *self.most, (rows, self.loop.order + 1), LANE_SUMS)
 
     def changes(self) -> Iterator[tuple[FlownLanes, np.ndarray]]:
-        """What becomes of the lanes whose changes are known, and these."""
+        """Yield results and derivatives of the lanes whose derivatives the rule can find."""
         everyone = np.arange(len(self.given.starts))
         for lanes in (everyone[:FIRST], everyone[FIRST:]):
             which = lanes
@@ -230,7 +248,7 @@ class Changing(Abreast):
                 which = self._asking(which)
 
     def _asking(self, lanes: Integers) -> Integers:
-        """Those of some lanes that have asked for derivatives, which are added."""
+        """Add fields and guards whose derivatives are missing; returns the lanes that need them."""
         asked = self.asked[lanes]
         if (asked[:, 0] < OF_FIELD).all():
             return lanes[:0]
@@ -261,7 +279,8 @@ class Changing(Abreast):
         return made  # type: ignore[no-any-return]
 
     def _changing(self) -> tuple[Any, ...]:
-        """Derivatives, and they with numbers of their own, these, and arrays to work in."""
+        """The arrays to which a thread writes: the derivatives' programs, a copy of them with
+        numbers of its own, these numbers, and work arrays."""
         programs, n = self.slopes.programs, self.scene.spec.dimension
         numbers = programs.numbers.copy()
         slopes = self.slopes._replace(programs=programs._replace(numbers=numbers))

@@ -1,9 +1,9 @@
-"""A run as numbers, and their derivatives by its parameters, its start and its times.
+"""The results of a run as numbers, and their derivatives by its parameters, start and times.
 
-A run is asked for by a row of numbers: the elements of the parameters in declared order, those of
-the state at the start, the first and the last time. What it gives is another. The derivatives of
-these by those are carried along the run by its first variation (:mod:`hybrid.variation`); where
-there is none they are NaN.
+The inputs of a run are a row of numbers: the elements of the parameters in declared order, those of
+the state at the start, the first and the last time. Its results are another row. The derivatives of
+the results by the inputs are carried along the run by its first variation
+(:mod:`hybrid.variation`); where there is none they are NaN.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from ..variation import Carried, Course, PastVariation, Shift, Strand, Walk
 if TYPE_CHECKING:
     from ..automaton.shapes import Integers, Matrix, Numbers, StateVector
 
-#: What the status of a run means, by its number.
+#: Name and meaning of each status of a run, by its number.
 REASONS = {
     1: ("reached_end", "the last time was reached"),
     2: ("max_jumps", "max_jumps was reached; raise it"),
@@ -51,7 +51,7 @@ REASONS = {
     14: ("terminated", "an edge has led to hy.TERMINATE"),
 }
 
-#: How runs end behind a jump.
+#: Statuses of runs that end just after a jump.
 BEHIND_A_JUMP = ("max_jumps", "terminated")
 
 REASON_NUMBERS = {name: number for number, (name, _) in REASONS.items()}
@@ -59,14 +59,14 @@ REASON_NUMBERS = {name: number for number, (name, _) in REASONS.items()}
 
 @attrs.frozen(eq=False)
 class Layout:
-    """Where things stand in the numbers that a run gives.
+    """The order of the results of a run in a row of numbers.
 
     Attributes
     ----------
     size, rows : int
-        Elements of the state, and jumps for which there is room.
+        Number of state elements, and most jumps in the table.
     outputs : tuple of str
-        What is wanted beside the time at the end.
+        The results besides the final time: some of ``"final"``, ``"jumps"`` and ``"zeno"``.
     """
 
     size: int
@@ -75,7 +75,7 @@ class Layout:
 
     @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """The parts, in order."""
+        """Names and shapes of the results, in order."""
         n, table = self.size, (self.rows, self.size)
         parts: dict[str, dict[str, tuple[int, ...]]] = {
             "final": {"final": (n,)},
@@ -87,18 +87,18 @@ class Layout:
 
     @cached_property
     def places(self) -> dict[str, slice]:
-        """By part where it begins and ends."""
+        """The places of each result in the row."""
         sizes = [*map(math.prod, self.shapes.values())]
         ends = np.cumsum([0, *sizes]).tolist()
         return {name: slice(*ends[i : i + 2]) for i, name in enumerate(self.shapes)}
 
     @property
     def length(self) -> int:
-        """How many numbers there are."""
+        """The length of the row."""
         return max(place.stop for place in self.places.values())
 
     def views(self, numbers: np.ndarray) -> dict[str, np.ndarray]:
-        """The parts of an array, whose first axis are the numbers; to be written to."""
+        """Writable views of an array by result; its first axis is that of the row."""
         return {
             name: numbers[place].reshape(self.shapes[name] + numbers.shape[1:])
             for name, place in self.places.items()
@@ -111,12 +111,14 @@ class Runs:
 
     Attributes
     ----------
+    cls, asked, mode
+        The model's class, the options, and the mode at the start.
     shapes : tuple of tuple
-        Those of the parameters.
+        Shapes of the parameters.
     edges : tuple of str
-        Names to whose places the table of jumps refers.
+        Names of the edges; the table of jumps contains indices into it.
     history
-        What was before, for delays.
+        The history, for delays.
     samples
         The data of the signals.
     """
@@ -131,31 +133,30 @@ class Runs:
     samples: tuple[Samples, ...] = ()
 
     def values(self, row: Numbers) -> tuple[np.ndarray, np.ndarray]:
-        """What a run gives; and the places of its edges, the count of its jumps, its status."""
+        """The results of a run: numbers and integers, as in :func:`.batch.values`."""
         return self._flown(row, "jumps").numbers()
 
     def slopes(self, row: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same, and behind it the derivatives: a column for each number of the row."""
+        """The results as :meth:`values`, then the derivatives, shape ``(length, len(row))``."""
         run = self._flown(row, "dense")
         return *run.numbers(), run.derivatives(len(row))
 
     def plan(self, row: Numbers) -> tuple[np.ndarray, ...]:
-        """Whether a run can be flown again (:mod:`hybrid.replay`), and how; where it cannot, a
-        warning says why."""
+        """Whether a run can be replayed (:mod:`hybrid.replay`), and its plan; warns if not."""
         plan, fault = self._flown(row, "dense").planned()
         if fault is not None:
             warnings.warn(f"{fault}; second derivatives of this run are NaN", stacklevel=2)
         return np.array(fault is None), *plan
 
     def planned(self, row: Numbers) -> tuple[np.ndarray, ...]:
-        """What a run gives, as :meth:`values`; whether it can be flown again, and how."""
+        """The results as :meth:`values`; whether the run can be replayed, and its plan."""
         run = self._flown(row, "dense")
         plan, fault = run.planned()
         return *run.numbers(), np.array(fault is None), *plan
 
     @property
     def room(self) -> int:
-        """Most steps of a run that is flown again."""
+        """Most steps of a replay."""
         assert self.asked.max_steps is not None
         return self.asked.max_steps
 
@@ -179,7 +180,7 @@ class Runs:
 
 @attrs.frozen(eq=False, slots=False)
 class _Run:
-    """A run; ``driver`` is None where it could not begin."""
+    """A run that has ended; ``driver`` is None if it could not begin."""
 
     of: Runs
     scene: Scene
@@ -191,6 +192,7 @@ class _Run:
 
     @cached_property
     def course(self) -> Course:
+        """The course of the run, for its first variation."""
         assert self.driver is not None
         driver, log, sight = self.driver, self.driver.record.log, None
         if driver.history is not None:
@@ -199,12 +201,13 @@ class _Run:
 
     @property
     def rows(self) -> list[int]:
-        """The parts that end with the jumps for which there is room."""
+        """Indices of the parts that end with the jumps of the table, which are the first ones."""
         return sorted(self.course.jumps)[: self.of.layout.rows]
 
-    # -- what it gives ----------------------------------------------------------------------
+    # -- results ----------------------------------------------------------------------------
 
     def numbers(self) -> tuple[np.ndarray, np.ndarray]:
+        """The results: see :meth:`Runs.values`."""
         layout, driver = self.of.layout, self.driver
         numbers, ints = np.full(layout.length, np.nan), np.full(layout.rows + 2, -1)
         views = layout.views(numbers)
@@ -233,7 +236,7 @@ class _Run:
             views["x_inf"][:], views["error"][...] = tail.x_inf, tail.t_error
 
     def planned(self) -> tuple[Itinerary, HybridError | None]:
-        """How it can be flown again; a blank plan, and the reason, if it cannot."""
+        """The plan of a replay and None; if there is none, a blank plan and the reason."""
         try:
             return self._plan(), None
         except HybridError as fault:
@@ -250,20 +253,21 @@ class _Run:
         with np.errstate(all="ignore"):
             return plan_of(self.course, touched, ends, self.of.room, layout.rows)
 
-    # -- how that changes -------------------------------------------------------------------
+    # -- derivatives ------------------------------------------------------------------------
 
     def derivatives(self, columns: int) -> Matrix:
-        """Derivatives of the numbers by those of the row."""
+        """Derivatives of the results by the row, shape ``(length, columns)``."""
         layout = self.of.layout
         found = np.full((layout.length, columns), np.nan)
         if self.driver is not None and self.course.parts:
             with suppress(HybridError), np.errstate(all="ignore"):
-                self._follow(layout.views(found), columns)
+                self._carry(layout.views(found), columns)
         return found
 
-    def _follow(self, views: dict[str, np.ndarray], columns: int) -> None:
-        """Carry the changes along the run, as far as there is a first variation."""
-        carried = self._begun(columns)
+    def _carry(self, views: dict[str, np.ndarray], columns: int) -> None:
+        """Carry the perturbation along the run, as far as there is a first variation, and write the
+        derivatives of the results on the way."""
+        carried = self._at_start(columns)
         places = {part: k for k, part in enumerate(self.rows)}
         for moment in carried.moments():
             if moment.part in places and "times" in views and moment.ratio is None:
@@ -273,13 +277,13 @@ class _Run:
             if moment.ratio is not None and "t_inf" in views and carried.limits == 1:
                 views["t_inf"][...], views["ratio"][...] = moment.time, moment.ratio
                 views["x_inf"][:] = moment.after
-        time, final = self._ended(carried)
+        time, final = self._at_end(carried)
         views["t"][...] = time
         if "final" in views:
             views["final"][:] = final
 
-    def _begun(self, columns: int) -> Carried:
-        """The changes at the start of the run."""
+    def _at_start(self, columns: int) -> Carried:
+        """The perturbation at the start of the run, by the numbers of the row."""
         assert self.driver is not None
         walk, size = Walk(self.course, True), len(self.x)
         count = columns - size - 2
@@ -298,7 +302,7 @@ class _Run:
         return carried
 
     def _past(self, walk: Walk, given: np.ndarray) -> PastVariation:
-        """The changes of the history: it is as the start, where nothing is given for a state."""
+        """The variation of the history: that of the start where no history is given, else 0."""
         columns, size = given.shape[1], len(self.x)
         own = from_start(self.scene.spec, self.of.history)
         before = np.eye(size, columns, columns - 2 - size) * own[:, None]
@@ -309,8 +313,8 @@ class _Run:
             walk, given, units, [Strand(self.t0 - 1.0, self.t0, before[None])], [start]
         )
 
-    def _ended(self, carried: Carried) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the time and the state at the end of the run."""
+    def _at_end(self, carried: Carried) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the final time and state; NaN if the run failed or stopped elsewhere."""
         place, part, columns = len(self.course.parts) - 1, self.course.parts[-1], len(self.row)
         if self.status == "reached_end":
             time = np.eye(1, columns, columns - 1)[0]

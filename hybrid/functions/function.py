@@ -1,4 +1,4 @@
-"""``hy.as_function``: a run as a pure function of model and start, inside the user's own JAX."""
+"""``hy.as_function``: a run as a pure function of model and start, for the user's own JAX."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ register_pytree_node(Record, record.parts, record.whole)
 #: How accumulations may be passed.
 ZENO_CHOICES = ("rest", "stop", "ignore")
 
-#: Elements of the parameters above which a run is flown again for its first derivatives, too: a
-#: gradient by the weights of a network takes 1.3 times as long so with 205 of them as the first
-#: variation does, and an eighth with 697.
+#: Number of parameter elements above which first derivatives come from a replay, too: a gradient by
+#: the weights of a network then takes 1.3 times as long as by the first variation with 205 weights,
+#: and an eighth of the time with 697.
 MANY_PARAMETERS = 256
 
-#: A finite number whose square is none.
+#: A finite number whose square overflows.
 OVERFLOWS_SQUARED = 1e300
 
-#: Under ``vmap`` a callback is given all rows at once.
+#: The ``vmap_method`` of callbacks that take all rows at once.
 ABREAST = "expand_dims"
 
 __all__ = ["REASONS", "JumpTable", "Limit", "Outcome", "as_function"]
 
 
 class JumpTable(NamedTuple):
-    """Jumps in order, ``max_jumps`` rows; unused rows hold NaN, and -1 as edge.
+    """Jumps in order, ``max_jumps`` rows; unused rows contain NaN, and -1 as edge.
 
-    ``edge`` is a place in ``function.edges``; ``before`` and ``after`` are records of columns,
-    ``after.v``. The impacts of a series that was summed are not among them.
+    ``edge`` is an index into ``function.edges``; ``before`` and ``after`` are records of columns,
+    ``after.v``; ``count`` is the number of jumps. Impacts of a summed series are left out.
     """
 
     t: Any
@@ -64,9 +64,9 @@ class JumpTable(NamedTuple):
 
 
 class Limit(NamedTuple):
-    """The first accumulation: NaN where there is none.
+    """The first accumulation: its time, state and ratio; NaN if there is none.
 
-    ``error`` bounds the error of the sum, not that of the integration before it.
+    ``error`` bounds the error of the sum in ``t``, without that of the integration before it.
     """
 
     t: Any
@@ -76,20 +76,20 @@ class Limit(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a function of :func:`as_function` returns; parts not asked for are None.
+    """The result of a function of :func:`as_function`; parts that are not in ``outputs`` are None.
 
     Attributes
     ----------
     t : number
-        Where the run ended: the last time, unless ``status`` says otherwise.
+        Time at which the run ended: the last time, if ``status`` is 1.
     final : Record
-        The state there: ``final.x``.
+        The state at that time: ``final.x``.
     jumps : JumpTable
     zeno : Limit
     status : int
-        1 at the last time; the other numbers are in ``hybrid.functions.REASONS``.
+        1 if the last time was reached; ``hybrid.functions.REASONS`` explains the others.
     overflow : bool
-        ``max_jumps`` or ``max_steps`` was too small: the run was cut.
+        Whether the run stopped because ``max_jumps`` or ``max_steps`` was too small.
     """
 
     t: Any
@@ -100,7 +100,7 @@ class Outcome(NamedTuple):
     overflow: Any
 
 
-#: ``(parameters, x, t0, t1) -> (parts by name, edges and count and status)``.
+#: ``(parameters, x, t0, t1) -> (results by name, integers)``; see :func:`.batch.values`.
 Fly = Callable[[tuple[Any, ...], Any, Any, Any], tuple[dict[str, Any], Any]]
 
 
@@ -146,20 +146,20 @@ def as_function(
         As for :func:`hybrid.simulate`. By default the solver is ``"taylor"``, or ``"scipy"`` if a
         function of the model has no series; if only a method is given, ``"diffrax"``.
     zeno : "rest", "stop" or "ignore"
-        What to do where impacts accumulate: continue at rest, stop, or compute them one by one.
+        What to do when impacts accumulate: continue at rest, stop, or compute them one by one.
     outputs : tuple of "final", "jumps", "zeno"
         The parts to return.
     history, memory
-        For delays, as for :func:`hybrid.simulate`. Derivatives hold a given history fixed; states
-        that it leaves out were constant as at the start, and vary with the start.
+        For delays, as for :func:`hybrid.simulate`. For derivatives, a given history is constant;
+        states that it leaves out have the history of their start value, and vary with it.
     segments
-        Has no effect: the whole past is remembered.
+        Has no effect: the whole past is kept.
 
     Returns
     -------
     callable ``(model, start) -> Outcome``
-        ``start`` is a dict, record or sequence of the states. The attribute ``edges`` names the
-        edges.
+        ``start`` is a dict, record or sequence of the states. The attribute ``edges`` is the tuple
+        of the names of the edges.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def as_function(
     def whole(parameters: tuple[Any, ...], start: tuple[Any, ...], t: tuple[Any, ...]) -> Outcome:
         return _outcome(spec, *fly(parameters, _vector(spec, start), *t))
 
-    compiled = jax.jit(whole)  # else each of its steps is one of the user's program
+    compiled = jax.jit(whole)  # else each operation would be dispatched on its own
 
     def function(model: Any, start: Any) -> Outcome:
         _require_wide()
@@ -199,7 +199,7 @@ def as_function(
 
 
 def _require_options(spec: Spec, t: Any, max_jumps: Any, zeno: Any, outputs: Any) -> None:
-    """Refuse what only functions take, or do not take."""
+    """Raise an :class:`OptionError` for options that :func:`hybrid.simulate` does not check."""
     unknown = [name for name in outputs if name not in OUTPUTS]
     if isinstance(outputs, str) or unknown:
         raise OptionError(
@@ -242,7 +242,7 @@ def _parameters(spec: Spec, model: Any, samples: Sequence[Any]) -> tuple[Any, ..
 
 
 def _values(spec: Spec, start: Any) -> tuple[Any, ...]:
-    """What is given for each state; what JAX does not trace is checked as by ``hy.simulate``."""
+    """The start value of each state; checked as by ``hy.simulate``, unless one is traced."""
     if not any(isinstance(value, jax.core.Tracer) for value in jax.tree.leaves(start)):
         values = tuple(values_of(spec, start))
         for state, value in zip(spec.states, values, strict=True):
@@ -301,14 +301,14 @@ def runs_of(
     mode: Any = None,
     **steps: Any,
 ) -> Runs:
-    """The runs of a function of a model."""
+    """The runs of a model's class, with the options of :func:`as_function`."""
     scene = scene_of(model)
     series = all(scene.field(name).jets is not None for name in scene.modes)
     named = solver or ("diffrax" if method is not None else "taylor" if series else "scipy")
     named, method = renamed(named, method)
     bounds: dict[str, Any] = {"max_jumps": max_jumps + 1, "max_steps": max_steps}
     asked = Asked(spec=scene.spec, solver=named, method=method, **steps, **bounds)
-    asked.driver(scene, _within(scene), np.zeros(scene.spec.dimension), history)  # is all known
+    asked.driver(scene, _within(scene), np.zeros(scene.spec.dimension), history)  # checks options
     own = scene.code.shapes[: len(scene.spec.parameters)]
     layout = Layout(scene.spec.dimension, max_jumps, tuple(outputs))
     known = type(model), asked, mode_of(scene, mode), own, _edges(scene), layout
@@ -323,7 +323,7 @@ def _within(scene: Scene) -> tuple[float, float]:
 
 
 def _edges(scene: Scene) -> tuple[str, ...]:
-    """The names of all that can jump."""
+    """The names of all edges, contacts, switchings, releases and clocks."""
     slides = [switching.mode for switching in scene.spec.switchings if switching.slides]
     modes = [*(mode.name for mode in scene.spec.modes), *slides]
     watched = (name for m in modes for name in scene.code.mode(m).watched(True))
@@ -331,7 +331,7 @@ def _edges(scene: Scene) -> tuple[str, ...]:
 
 
 def _called(runs: Runs) -> Fly:
-    """The runs as a function of arrays."""
+    """The runs as a JAX function of arrays of parameters, start and times."""
     whole = _differentiable(runs)
 
     def fly(parameters: tuple[Any, ...], x: Any, t0: Any, t1: Any) -> tuple[dict[str, Any], Any]:
@@ -346,7 +346,7 @@ def _called(runs: Runs) -> Fly:
 
 
 def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
-    """What the runs give as a function of a row of numbers that has first derivatives."""
+    """The results of runs as a function of a row of numbers, with first and second derivatives."""
     length, ints, varied = runs.layout.length, runs.layout.rows + 2, Gradients(runs)
     given = jax.ShapeDtypeStruct((length,), float), jax.ShapeDtypeStruct((ints,), int)
 
@@ -375,6 +375,18 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
         still = np.zeros(whole_numbers.shape, jax.dtypes.float0)
         return (numbers, whole_numbers), (_along(slopes, *changes), still)
 
+    found = jax.custom_jvp(whole)
+    found.defjvp(rule)
+    many = (
+        not (runs.asked.spec.lags or runs.samples)
+        and sum(map(math.prod, runs.shapes)) > MANY_PARAMETERS
+    )
+    return _by_replay(runs, given, found) if many and _replay(runs).written else found
+
+
+def _by_replay(runs: Runs, given: tuple[Any, ...], found: Any) -> Callable[[Any], tuple[Any, Any]]:
+    """The function ``found``, with all derivatives from a replay if the run has one."""
+
     def by_replay(row: Any) -> Any:
         replay = _replay(runs)
         shapes = *given, jax.ShapeDtypeStruct((), bool), *replay.given
@@ -386,17 +398,11 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
         flown = at(numbers, replay.fly(plan, row)) + nothing
         return when(~flies, lambda: found(row)[0], flown), whole_numbers
 
-    found = jax.custom_jvp(whole)
-    found.defjvp(rule)
-    many = (
-        not (runs.asked.spec.lags or runs.samples)
-        and sum(map(math.prod, runs.shapes)) > MANY_PARAMETERS
-    )
-    return by_replay if many and _replay(runs).written else found
+    return by_replay
 
 
 def _replay(runs: Runs) -> Replay:
-    """The runs, flown again for derivatives that the first variation does not give."""
+    """The replays of runs; raises an :class:`OptionError` with delays or signals."""
     if runs.asked.spec.lags:
         raise OptionError(
             f"{runs.asked.spec.model} looks into the past: its runs have first derivatives only, "
@@ -412,7 +418,7 @@ def _replay(runs: Runs) -> Replay:
 
 
 def _each(call: Callable[[np.ndarray], tuple[np.ndarray, ...]], rows: Any) -> Any:
-    """A function of a row for each of many."""
+    """Call a function of one row for each of many; returns its results, stacked."""
     rows = np.asarray(rows)
     found = [call(row) for row in rows.reshape(-1, rows.shape[-1])]
     columns = zip(*found, strict=True)
@@ -420,11 +426,11 @@ def _each(call: Callable[[np.ndarray], tuple[np.ndarray, ...]], rows: Any) -> An
 
 
 def _along(slopes: Any, change: Any) -> Any:
-    """Derivatives along a change; NaN where one that is none is asked for, and only there.
+    """Directional derivatives ``slopes @ change``; NaN only where a NaN of ``slopes`` is used.
 
-    A derivative that is none must not spoil what does not depend on it: in reverse mode a number
-    that nobody uses comes back as 0, and 0 times NaN is NaN. So it is a factor that takes 0 to 0
-    and all else to NaN: beyond all numbers, then times 0, from either side.
+    In reverse mode the cotangent of an unused result is 0, and 0 times NaN is NaN, which would
+    spoil the whole gradient. A NaN is therefore replaced by factors that map 0 to 0 and any other
+    number to NaN, forward and transposed: first to infinity by overflow, then times 0.
     """
     none = jnp.isnan(slopes)
     far, known = jnp.where(none, OVERFLOWS_SQUARED, 1.0), jnp.where(none, 0.0, slopes)

@@ -1,4 +1,4 @@
-"""Cuts a run where it meets a section."""
+"""Cut a run where it meets a section."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..trajectory.trajectory import Status
 
 
 def cut(run: Trajectory, at: Return) -> Trajectory:
-    """The run up to a return; if that is a jump, to just after it."""
+    """The run up to a return; if the return is a jump, up to the state just after it."""
     part = run.parts[at.part]
     jump = run.own_jumps.get(at.part)
     kept: list[Part] = list(run.parts[: at.part])

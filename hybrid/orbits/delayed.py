@@ -25,7 +25,7 @@ def carried(
     shifts: Sequence[Shift] = (),
     breaks: Iterable[float] = (),
 ) -> tuple[Carried, PastVariation]:
-    """Carry perturbations of a run's start and history along the run.
+    """Carry perturbations of a run's start and history along the run to its end.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def carried(
     Raises
     ------
     OrbitError
-        If there is no first variation, and at accumulations.
+        If there is no first variation, or the run passes an accumulation.
     """
     for part in run.parts:
         if not isinstance(part, Arc):
@@ -66,7 +66,7 @@ def carried(
 
 
 def require_constant(scene: Scene) -> None:
-    """Refuse lags that depend on time or state."""
+    """Raise an :class:`OrbitError` if a lag depends on time or state."""
     for lag, moves in zip(scene.spec.lags, scene.code.moving, strict=True):
         if moves:
             raise OrbitError(

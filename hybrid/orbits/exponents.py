@@ -18,7 +18,7 @@ from ..variation import GROWN_APART, TRANSIENT, factors, first_frame, grown, lar
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
 
-#: Number of parts of a run whose means are compared.
+#: Number of consecutive parts of a run whose mean rates give the standard error.
 BATCHES = 20
 
 #: Number of running estimates that are returned, spaced evenly over the run.
@@ -32,16 +32,16 @@ class Exponents:
     Attributes
     ----------
     exponents : array, shape (count,)
-        Mean rates, one over the unit of time, largest first; ``-inf`` for directions that are lost
-        permanently (at rest, while sliding, through an accumulation).
+        Mean rates of separation, in one over the unit of time, largest first; ``-inf`` for
+        directions that are lost permanently (at rest, while sliding, through an accumulation).
     error : array, shape (count,)
-        Standard error of each, from the means of twenty consecutive parts of the run. NaN for
-        ``-inf``, or if the run is too short to be divided.
+        Standard error of each exponent, from the mean rates in twenty consecutive parts of the run.
+        NaN for the exponent ``-inf``, or if the run is too short to be divided.
     sum : float
         Sum of the exponents.
     times : array, shape (k,)
     running : array, shape (k, count)
-        Running estimates: from the end of the transient to each of ``times``.
+        Estimates from the time between the end of the transient and each of ``times``.
     run : Trajectory
         The run after the transient.
     """
@@ -86,7 +86,7 @@ def lyapunov(
     count : int, optional
         Number of exponents, from the largest on; all if omitted.
     transient : float, optional
-        Time at the beginning that is not averaged; a tenth of the run if omitted.
+        Duration at the beginning that is left out of the averages; a tenth of the run if omitted.
     options
         As for :func:`hybrid.simulate`.
 
@@ -106,7 +106,7 @@ def lyapunov(
     -----
     An orthonormal frame is propagated along the run by the first variation of its steps and the
     saltation matrices of its jumps, and orthonormalized after each of them; the logarithms
-    of its growth are summed. Sources: Benettin, Galgani, Giorgilli & Strelcyn, Meccanica 15
+    of its growth factors are summed. Sources: Benettin, Galgani, Giorgilli & Strelcyn, Meccanica 15
     (1980); Müller, Chaos, Solitons & Fractals 5 (1995) for systems with jumps.
 
     In an autonomous model one exponent is 0: that of a perturbation along the run.
@@ -147,7 +147,7 @@ def lyapunov(
 
 
 def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]) -> Trajectory:
-    """A run, required to reach its last time."""
+    """Simulate a run; raise an :class:`OrbitError` if it ends before its last time."""
     run = simulate(model, start, t, **options)
     if run.status is not Status.REACHED_END:
         raise OrbitError(f"{run.spec.model}: the run ended at t = {run.t1:.9g}: {run.status}")
@@ -164,7 +164,7 @@ def _exponents(times: Numbers, growth: Matrix, run: Trajectory) -> Exponents:
 
 
 def _error(times: Numbers, total: Matrix, first: float) -> Numbers:
-    """Standard error of the mean growth, from the means of parts of the run."""
+    """Standard error of the mean rates of growth, from those of parts of the run."""
     ends = np.linspace(first, times[-1], BATCHES + 1)[1:]
     index = np.unique(np.searchsorted(times, ends - 1e-12 * (times[-1] - first)))
     if len(index) < 3:

@@ -20,14 +20,15 @@ from ..variation.walk import SMOOTH_KINDS
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
 
-#: A jump is nearly grazing if the guard's rate is below this fraction of its largest rate. The
-#: square is the corresponding fraction for the value of a guard that turns back near zero.
+#: A jump is nearly grazing if the guard's rate is below this fraction of its largest rate. A guard
+#: without a jump is nearly touched if it turns back at a value below the square of this fraction of
+#: its largest value.
 GRAZES = 1e-3
 
 
 @attrs.frozen(eq=False)
 class Step:
-    """A guard along a step of an arc: its Chebyshev series, times and values."""
+    """A guard along a step of an arc: its Chebyshev series, and its values at some times."""
 
     start: float
     length: float
@@ -46,20 +47,21 @@ class Along:
 
     @property
     def largest(self) -> float:
-        """Its largest absolute value at the sampled points."""
+        """The largest absolute value of the guard at the sampled points."""
         return max(float(np.abs(step.values).max()) for arc in self.arcs for step in arc)
 
     @property
     def fastest(self) -> float:
-        """An upper estimate of its largest rate."""
+        """An upper bound on the guard's rate."""
         steps = [step for arc in self.arcs for step in arc]
         return max(2.0 / s.length * np.abs(chebyshev.chebder(s.series)).sum() for s in steps)
 
     def nearest(self) -> Iterator[tuple[float, float]]:
-        """Time and value of the extremum nearest to zero, between places where it is far from zero.
+        """Time and value of each point at which the guard turns back near zero.
 
-        Where steps meet at a kink it may turn on neither of them: there it turns if it comes from
-        the side to which it leaves.
+        This is the extremum nearest to zero between two points at which the guard is far from zero.
+        At a kink between two steps the guard may turn back without an extremum inside either step:
+        it does if it has the same sign before and after.
         """
         bound = GRAZES**2 * self.largest
         for arc in self.arcs:
@@ -82,6 +84,7 @@ class Along:
 
 
 def _turned(step: Step, bound: float) -> Iterator[tuple[float, float]]:
+    """Time and value of the extrema of a guard inside a step at which it is nearly zero."""
     points = turning(step.series)
     values = chebyshev.chebval(points, step.series)
     bends = chebyshev.chebval(points, chebyshev.chebder(step.series, 2))
@@ -91,12 +94,12 @@ def _turned(step: Step, bound: float) -> Iterator[tuple[float, float]]:
 
 
 def turning(series: Numbers) -> Numbers:
-    """The extrema of a Chebyshev series inside (-1, 1)."""
+    """The places of the extrema of a Chebyshev series inside (-1, 1)."""
     return 2.0 * np.array(turning_points(series)) - 1.0
 
 
 def near_grazing(run: Trajectory) -> list[str]:
-    """Sentences about guards that a run touches, or reaches at very low speed."""
+    """Sentences about guards that a run nearly touches, or crosses at very low speed."""
     found: list[str] = []
     summed = {edge for point in run.zeno for edge in point.edges}
     for along in _guards(run):
@@ -121,7 +124,7 @@ def near_grazing(run: Trajectory) -> list[str]:
 
 
 def _guards(run: Trajectory) -> Iterator[Along]:
-    """Every guard along all arcs on which it is watched."""
+    """Each guard along all arcs of each mode in which it is watched."""
     parts = enumerate(run.parts)
     arcs = [(i, part) for i, part in parts if isinstance(part, Arc) and part.segments]
     for mode in dict.fromkeys(arc.mode for _, arc in arcs):
@@ -147,7 +150,7 @@ def _steps(run: Trajectory, guard: Guard, index: int, arc: Arc) -> list[Step]:
 
 
 def _looking(run: Trajectory, guard: Guard, index: int, mode: str) -> Callable[..., float]:
-    """A guard that depends on the past."""
+    """A function ``(t, x) -> value`` of a guard that depends on the past."""
 
     def value(t: float, x: list[float]) -> float:
         field = run.hindsight.at(index, t).field(mode)

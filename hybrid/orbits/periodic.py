@@ -34,14 +34,15 @@ if TYPE_CHECKING:
 #: Distance from the unit circle below which a multiplier counts as neither inside nor outside.
 NEUTRAL = 1e-6
 
-#: For a check with finer tolerances: their ratio, the finest that methods accept, how many times
-#: the drift must exceed the resulting change, and the rounding of one turn.
+#: For the check of an orbit with finer tolerances: the factor by which they are finer, the finest
+#: ``rtol`` of all methods, how many times the drift must exceed the change that they cause, and the
+#: rounding of one turn.
 FINER_BY, FINEST_RTOL, SURE, TURN_ROUNDING = 30.0, 3e-14, 10.0, 3e-13
 
 
 @attrs.frozen
 class Stick:
-    """A phase at rest on contacts, or sliding: its mode, first and last time."""
+    """A phase at rest on contacts, or sliding: its mode, and the times of its start and end."""
 
     mode: str
     t0: float
@@ -66,23 +67,24 @@ class PeriodicOrbit:
     monodromy : array, shape (n, n)
         The fundamental matrix over a period, from ``start``.
     multipliers : array of complex, shape (n,)
-        Its eigenvalues, largest first. In an autonomous model one of them is 1, that of a
-        perturbation along the orbit.
+        Eigenvalues of ``monodromy``, largest first. In an autonomous model one of them is 1: that
+        of a perturbation along the orbit.
     stable : bool
-        Whether all others lie inside the unit circle, by more than 1e-6.
+        Whether all multipliers but that one lie inside the unit circle, by more than 1e-6.
     start : Record
         The state at ``run.t0``, in the middle of an arc.
     run : Trajectory
         One period.
     residual : float
-        Largest difference between its ends, relative to the size of the orbit.
+        Largest difference between the ends of ``run``, relative to the size of the orbit.
     autonomous : bool
+        Whether the model does not depend on time.
     grazing : tuple of str
         Sentences about guards that are touched, or crossed at very low speed; the multipliers may
         then not describe nearby motion.
     errors : array or None
         With delays and ``memory="keep"``: the change of each multiplier when the history is
-        resolved more finely. None if the multipliers are those of a matrix of the state.
+        resolved more finely. Otherwise None.
     """
 
     period: float
@@ -146,20 +148,20 @@ def periodic_orbit(
     model : Automaton
         Autonomous, or periodic in time.
     guess : dict, record, sequence or Trajectory
-        A state near the orbit; of a run, its final state.
+        A state near the orbit, or a run that ends near it.
     section : str, callable or float, optional
         As for :func:`hybrid.return_map`; one return is one period, so give an edge that fires once
         per period. A plane through the guess, across the flow, if omitted.
     period : float, optional
         If the model depends on time: the period of the orbit, a multiple of that of the
-        forcing. Otherwise a first guess of the period, instead of a section.
+        forcing. Otherwise an initial guess of the period, in place of a section.
     t, mode
-        Time and mode of the guess.
+        Time and mode of the guess, unless it is a run.
     settle : int
         Number of periods to simulate before Newton's method begins, to approach a stable orbit.
     t_max : float
-        The longest time that a return may take. Returns are sought within short times first, so the
-        unit of time does not matter.
+        The longest time that a return may take. The search for a return begins with short times, so
+        the unit of time does not matter.
     tol : float
         The largest difference between the ends of the orbit, relative to its size.
     options
@@ -224,7 +226,8 @@ def periodic_orbit(
 
 
 def _require_run(scene: Scene, guess: Guess, options: dict[str, Any]) -> None:
-    """Refuse options that no run could use: the search takes faults of a run for a bad guess."""
+    """Raise the errors of options that no run could use. (The search would take these errors for
+    signs of a bad guess.)"""
     mode_of(scene, guess.mode)
     own = {name: value for name, value in options.items() if name not in ("history", "seed")}
     solver, method = renamed(own.pop("solver", "scipy"), own.pop("method", None))
@@ -234,7 +237,8 @@ def _require_run(scene: Scene, guess: Guess, options: dict[str, Any]) -> None:
 
 
 def shooting_of(scene: Scene, options: dict[str, Any]) -> type[Shooting]:
-    """The shooting method: on a state; with delays, on that after a jump or on a history."""
+    """The class whose unknowns suit the model: a state in an arc; with delays, a history, or with
+    ``memory="restart"`` the state after a jump."""
     if not scene.spec.lags:
         return Shooting
     require_constant(scene)
@@ -242,6 +246,7 @@ def shooting_of(scene: Scene, options: dict[str, Any]) -> type[Shooting]:
 
 
 def _describe(shooting: Shooting, turn: Shot) -> PeriodicOrbit:
+    """The orbit of a closed turn, with its multipliers and shape."""
     scene, run, autonomous = shooting.scene, turn.run, not shooting.timed
     found = shooting.describe(turn)
     values = found.multipliers
@@ -274,12 +279,12 @@ def _others(multipliers: ComplexNumbers, autonomous: bool) -> ComplexNumbers:
 
 
 def _besides(multipliers: ComplexNumbers, autonomous: bool) -> bool:
-    """Whether another multiplier is 1 as well: turns are then not attracted to a single orbit."""
+    """Whether a multiplier other than that along the orbit is 1: the orbit may not be isolated."""
     return bool(np.any(np.abs(_others(multipliers, autonomous) - 1.0) < NEUTRAL))
 
 
 def _require_closed(shooting: Shooting, turn: Shot) -> None:
-    """Refuse a turn that drifts although no change of its start would close it."""
+    """Raise an :class:`OrbitError` if a turn drifts by more than the integration error."""
     options = dict(shooting.options)
     rtol, atol = options["rtol"], np.asarray(options["atol"], dtype=float)
     options |= {"rtol": min(rtol, max(rtol / FINER_BY, FINEST_RTOL)), "atol": atol / FINER_BY}

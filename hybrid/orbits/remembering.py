@@ -1,11 +1,11 @@
 """Newton's method for orbits of models with delays whose record is kept through jumps.
 
-The record over the longest lag determines the future: its values at Chebyshev points of the pieces
-between its breaking points, and the times of its visible jumps. These are the unknowns. A Newton
-step changes them, and the turns simulated next turn the result into a record of the model, with
-breaking points in the right places.
+The record over the longest lag determines the future. The unknowns are its values at Chebyshev
+points of the pieces between its breaking points, and the times of the jumps that delays see. A
+Newton step changes them. The changed record is no solution of the model; after simulating for at
+least the longest lag, the record is one, with its breaking points in the right places.
 
-A second, finer set of points shows how well the pieces resolve the first variation.
+The multipliers are computed on a second, finer set of points as well, which estimates their errors.
 """
 
 from __future__ import annotations
@@ -34,29 +34,29 @@ from .shooting import SHORTEST_ARC, Description, Guess, Shooting, Shot
 if TYPE_CHECKING:
     from ..automaton.shapes import ComplexNumbers, Matrices, Matrix, Numbers, StateVector
 
-#: Degree on each piece of the record, and on the finer set.
+#: Degree of the polynomial on each piece of the record, with the normal and the finer points.
 RECORD_DEGREE, FINE_DEGREE = 18, 26
 
 #: Pieces are halved until their last coefficients are this small (relative); and most halvings.
 RECORD_TOLERANCE, RECORD_HALVINGS = 1e-9, 4
 
-#: Relative difference of adjacent pieces above which the record jumps between them.
+#: Relative difference of adjacent pieces, where they meet, above which the record jumps there.
 RECORD_JUMP = 1e-10
 
-#: Distance from the ends of a piece, relative to its length, at which it is evaluated on its side
-#: of a breaking point.
+#: Distance from the ends of a piece, relative to its length, that decides on which side of a
+#: breaking point the record is evaluated.
 RECORD_SIDE = 1e-7
 
-#: Multipliers that differ by more than this between the two sets of points are not reported ...
+#: Multipliers that differ by more than this between the two sets of points are not reported.
 KNOWN_MULTIPLIER = 1e-5
 
-#: ... and those not reported must not be larger than this.
+#: Largest absolute value of a multiplier that may be left out of the report.
 HIDDEN_MULTIPLIER = 0.5
 
 
 @attrs.frozen(eq=False)
 class Leap:
-    """A visible jump of the record."""
+    """A jump of the record in an element that delays see."""
 
     t: float
     before: StateVector
@@ -64,7 +64,7 @@ class Leap:
 
 
 def leaps(record: PastRecord, low: float, high: float, seen: Sequence[int]) -> list[Leap]:
-    """The jumps of the record between two times, in the elements that delays see."""
+    """The jumps of the record between two times, in the elements ``seen``."""
     found = []
     for earlier, later in pairwise(record.pieces):
         t = later.start
@@ -83,10 +83,11 @@ class Frame:
     Attributes
     ----------
     pieces : list of (float, float)
-        In order; the last one ends at that time.
+        Start and end of each piece, in order; the last one ends at the given time.
     leaps : list of Leap
-        Visible jumps; each is at the end of a piece.
+        Jumps that delays see; each is at the end of a piece.
     degree : int
+        Degree of the polynomial on each piece.
     """
 
     pieces: list[tuple[float, float]]
@@ -95,16 +96,17 @@ class Frame:
 
     @property
     def points(self) -> list[np.ndarray]:
-        """Times of the points, piece by piece."""
+        """Times of the Chebyshev points, an array for each piece."""
         return [a + (b - a) * nodes(self.degree) for a, b in self.pieces]
 
     def bounds(self, later: float, ends: Sequence[Leap]) -> list[tuple[float, float]]:
-        """The pieces shifted by ``later``, with the jumps moved to those in ``ends``."""
+        """The pieces shifted by ``later``; times of jumps move to those in ``ends``."""
         moved = {leap.t: end.t for leap, end in zip(self.leaps, ends, strict=True)}
         return [(moved.get(a, a + later), moved.get(b, b + later)) for a, b in self.pieces]
 
     def states(self, record: PastRecord, later: float, ends: Sequence[Leap]) -> Matrices:
-        """A record's states at the shifted points; shape ``(pieces, degree + 1, n)``."""
+        """A record's states at the points shifted by ``later``, shape ``(pieces, degree + 1, n)``;
+        each from the shifted piece of :meth:`bounds`."""
         found = []
         for times, (a, b) in zip(self.points, self.bounds(later, ends), strict=True):
             room = RECORD_SIDE * (b - a)
@@ -112,7 +114,7 @@ class Frame:
         return np.array(found)
 
     def slopes(self, states: Matrices) -> Matrices:
-        """Time derivatives of values at the points."""
+        """Time derivatives at the points of the polynomials through values there."""
         vander = chebyshev.chebvander(2.0 * nodes(self.degree) - 1.0, self.degree - 1)
         matrix = vander @ chebyshev.chebder(from_values(self.degree))
         lengths = np.array([b - a for a, b in self.pieces])
@@ -150,7 +152,7 @@ def _seen(run: Trajectory) -> list[int]:
 def _resolved(
     record: PastRecord, piece: tuple[float, float], depth: int
 ) -> list[tuple[float, float]]:
-    """A piece, or parts of it on which the record is resolved."""
+    """A piece, halved until the polynomial on each part resolves the record."""
     a, b = piece
     room = RECORD_SIDE * (b - a)
     states = record.states(a + (b - a) * nodes(RECORD_DEGREE), a + room, b - room)
@@ -162,12 +164,14 @@ def _resolved(
 
 
 def monodromy(run: Trajectory, frame: Frame) -> tuple[np.ndarray, Carried]:
-    """The matrix that maps a perturbation of the record, in values and jump times, over one period.
+    """The matrix that maps a perturbation of the record over one period.
 
     Returns
     -------
     array, shape (m, m)
+        Rows and columns belong to the values at the points of the frame, then to its jump times.
     Carried
+        The perturbation at the end of the run.
     """
     count, size, each = len(frame.pieces), run.spec.dimension, frame.degree + 1
     total = count * each * size + len(frame.leaps)
@@ -206,7 +210,7 @@ def _ends(run: Trajectory, frame: Frame) -> list[Leap]:
 
 
 def _row(shifts: Iterable[Shift], t: float) -> Matrix:
-    """The variation of the time of the jump at ``t``."""
+    """The variation of the time of the jump at ``t``, as a row."""
     return min(shifts, key=lambda shift: abs(shift.t - t)).row[None]
 
 
@@ -234,7 +238,7 @@ class HistoryShooting(Shooting):
         return max(1, ceil(self.lag / period))
 
     def centred(self, guess: Guess) -> Guess:
-        """The same turn, started in the middle of an arc with a simulated record."""
+        """The same turn, started in the middle of its longest arc with a simulated record."""
         run = self.fly(guess, (1 + self._covering(guess.period)) * guess.period)
         since = run.t1 - guess.period
         arcs = [(i, arc) for i, arc in enumerate(run.parts) if isinstance(arc, Arc)]
@@ -286,7 +290,7 @@ class HistoryShooting(Shooting):
         return found[: len(scale)] * scale, stretch
 
     def moved(self, turn: Shot, step: Numbers, stretch: float) -> Guess:
-        """The guess that a changed record leads to, after at least the longest lag."""
+        """The guess at the end of a run from the changed record, over the longest lag or more."""
         changed = self.changed(turn, step, stretch)
         length = self._covering(changed.period) * changed.period
         return self.after(self.fly(changed, length), changed.period)
@@ -310,12 +314,12 @@ class HistoryShooting(Shooting):
         return attrs.evolve(guess, x=last, period=period, history=Before(pieces))
 
     def describe(self, turn: Shot) -> Description:
-        """The leading multipliers, as many as both sets of points agree on.
+        """The leading multipliers, as far as the two sets of points agree.
 
         Raises
         ------
         OrbitError
-            If they disagree on one that may matter.
+            If they disagree on a multiplier larger than :data:`HIDDEN_MULTIPLIER`.
         """
         assert isinstance(turn, Remembering)
         matrix, found = monodromy(turn.run, turn.frame)
@@ -336,7 +340,8 @@ class HistoryShooting(Shooting):
 
 
 def _piece(a: float, b: float, degree: int, points: Numbers, values: Matrix) -> Piece:
-    """A piece of a record with these values at its points, and possibly moved ends."""
+    """A piece of a record from ``a`` to ``b``, with given values at the points, which may extend
+    beyond its ends or end before them."""
     strand = Strand(float(points[0]), float(points[-1]), values[:, :, None])
     return Piece(a, b, lambda s, since: strand(s + since)[:, :, 0], degree)
 

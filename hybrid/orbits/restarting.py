@@ -1,7 +1,7 @@
 """Newton's method for orbits of models with delays whose memory restarts at jumps.
 
-The state just after a jump, and its time, determine the future; they are the unknowns. A turn ends
-just after the jump of the same edge closest to one period later.
+The state just after a jump, and the time of the jump, determine the future; they are the unknowns.
+A turn ends just after a jump of the same edge: the one closest to one period later.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .shooting import EQUILIBRIUM_MOVE, Description, Guess, Shooting, Shot
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
 
-#: Simulated length of a turn, in periods, within which its jump must occur.
+#: Duration, in periods, of the run in which the jump that ends a turn is sought.
 PERIODS_FLOWN = 1.5
 
 
@@ -38,7 +38,7 @@ class RestartShooting(Shooting):
     """Newton's method on the states after jumps."""
 
     def centred(self, guess: Guess) -> Guess:
-        """The turn, started just after the jump that precedes the longest arc."""
+        """The same turn, started just after the jump that precedes its longest arc."""
         run = self.fly(guess, PERIODS_FLOWN * guess.period + guess.period)
         jumps = {i: row for i, row in run.own_jumps.items() if isinstance(run.parts[i + 1], Arc)}
         chosen = [i for i, row in jumps.items() if row.t >= run.t1 - PERIODS_FLOWN * guess.period]
@@ -55,13 +55,13 @@ class RestartShooting(Shooting):
         return Landed(row.t, self._closed(row.edge, row.t, row.after), mode, period, None, row.edge)
 
     def _closed(self, edge: str, t: float, x: StateVector) -> StateVector:
-        """A state projected onto the contact of an edge, if the edge is one."""
+        """A state projected onto the contact ``edge``; unchanged if ``edge`` is not a contact."""
         if not self.scene.is_contact(edge):
             return x
         return np.array(self.scene.contact(edge).land(t, x.tolist()))
 
     def turn(self, guess: Guess) -> Shot:
-        """The run from just after a jump to just after the corresponding one a period later."""
+        """The run from just after a jump to just after the corresponding jump a period later."""
         assert isinstance(guess, Landed)
         x = self._closed(guess.edge, guess.t, guess.x)
         guess = attrs.evolve(guess, x=x, history=None)
@@ -89,7 +89,8 @@ class RestartShooting(Shooting):
         return turn.scale
 
     def _step(self, turn: Shot) -> tuple[np.ndarray, float]:
-        """Newton step: changes of the state after the jump, and of its time."""
+        """Newton step: change of the state after the jump and of the jump's time, in one array; and
+        0, as the period is not an unknown."""
         matrix = self._carried(turn).matrix - np.eye(len(turn.scale))
         count = len(turn.scale) if self.timed else len(turn.scale) - 1
         system = (matrix * turn.scale / turn.scale[:, None])[:count, :count]
@@ -102,7 +103,7 @@ class RestartShooting(Shooting):
         return attrs.evolve(guess, x=guess.x + step[:-1], t=guess.t + float(step[-1]))
 
     def again(self, turn: Shot, period: float) -> StateVector:
-        """The state after the jump one shorter period later; NaN if there is none."""
+        """The state after the jump that comes a given shorter period later; NaN without a jump."""
         guess = attrs.evolve(turn.guess, period=period)
         assert isinstance(guess, Landed)
         row = turn.run.own_jumps[self._nearest(turn.run, guess)]
@@ -110,14 +111,16 @@ class RestartShooting(Shooting):
         return np.where(there, row.after, np.nan)
 
     def describe(self, turn: Shot) -> Description:
-        """Multipliers of the state after the jump and its time, without the one that is 0."""
+        """The multipliers: eigenvalues of the map of the state after the jump and the jump's time,
+        without the one that is 0."""
         found = self._carried(turn)
         values = np.linalg.eigvals(found.matrix).astype(complex)
         values = values[np.argsort(-np.abs(values))][:-1]
         return attrs.evolve(found, multipliers=values)
 
     def _carried(self, turn: Shot) -> Description:
-        """The derivative of state and time after the last jump by those after the first."""
+        """The derivative of the state after the last jump, and of its time, by those of the first
+        jump, shape ``(n + 1, n + 1)``."""
         run, size = turn.run, len(turn.guess.x)
         start = np.eye(size, 1 + size)
         now = start - np.outer(self.flow(turn.guess), np.eye(1, 1 + size, size)[0])

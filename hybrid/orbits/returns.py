@@ -1,4 +1,4 @@
-"""``hy.return_map``: the map from a state to where its run next meets a section."""
+"""``hy.return_map``: the map from a state to the state at which its run next meets a section."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from .cut import cut
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
 
-#: Length of the first window in which a return is sought, relative to the longest, and growth
-#: factor of windows. The time scale of a model is unknown; this simulates at most a few times too
-#: much.
+#: Length of the first run in which a return is sought, relative to ``t_max``, and the factor by
+#: which the next ones are longer. The time scale of a model is unknown; all these runs together are
+#: only a few times longer than needed.
 FIRST_WINDOW, WINDOW_GROWTH = 4.0**-20, 4.0
 
-#: Length of a window, relative to the last return time.
+#: Length of the first run, relative to the last return time, if there was one.
 MARGIN = 1.25
 
 
@@ -45,11 +45,12 @@ class Point:
 
 
 class Iterates(Sequence[Record]):
-    """Points of a return map, beginning with the start.
+    """Points of a return map, beginning with the start: a sequence of records.
 
     Attributes
     ----------
     t : array, shape (n + 1,)
+        Times.
     states : array, shape (n + 1, dimension)
     modes : list of str
     """
@@ -110,7 +111,7 @@ class ReturnMap:
         return self.run(state, t).final
 
     def time(self, state: Any, t: float = 0.0) -> float:
-        """The time that the run takes to return."""
+        """The time that the run from ``state`` takes to its next return."""
         run = self.run(state, t)
         return run.t1 - run.t0
 
@@ -122,7 +123,7 @@ class ReturnMap:
         Raises
         ------
         OrbitError
-            If it does not return within ``t_max``.
+            If the run does not return within ``t_max``.
         """
         return self._from(self._point(state, t, history))
 
@@ -137,7 +138,7 @@ class ReturnMap:
         -------
         Iterates
             ``n + 1`` states, beginning with the start, and their times ``.t``; ``.x`` is the array
-            of a coordinate.
+            of the coordinate ``x``.
         """
         require_count("n", n, 0)
         points = [self._point(state, t)]
@@ -168,7 +169,8 @@ class ReturnMap:
         return run
 
     def _flown(self, start: Any, point: Point, count: int) -> tuple[Trajectory, list[Return]]:
-        """A run in growing windows until it has returned ``count`` times, and its returns."""
+        """A run that returns ``count`` times, and these returns; runs of growing length are
+        tried."""
         assert not isinstance(self.section, Period)
         window = MARGIN * self._took if self._took else FIRST_WINDOW * self.t_max
         while True:
@@ -182,9 +184,9 @@ class ReturnMap:
             window *= WINDOW_GROWTH
 
     def lap(self, state: Any, t: float = 0.0) -> tuple[Trajectory, float]:
-        """A run from a state to its second return, and the time between the two returns.
+        """A run from a state to its second return, and the time between its first two returns.
 
-        Nothing then starts on the section.
+        Both returns are then crossings, even if the state is on the section.
         """
         point = self._point(state, t)
         run, (first, second) = self._flown(self.scene.spec.record(point.state), point, 2)
@@ -198,13 +200,13 @@ class ReturnMap:
         return simulate(self.model, start, times, mode=point.mode, **options)
 
     def _land(self, run: Trajectory, start: Any, point: Point) -> Trajectory:
-        """A run that ends on a surface, repeated to end there: more accurate than dense output."""
+        """Repeat a run so that it ends on a surface, which is more accurate than dense output."""
         if not isinstance(self.section, Surface):
             return run
         return self._simulate(start, point, run.t1 - run.t0)
 
     def _returned(self, run: Trajectory, period: float | None) -> Trajectory:
-        """The run itself if it lasted a whole period; otherwise an error with the reason."""
+        """The run, if it lasted a given period; else raise an error that says why it did not."""
         if period is not None and run.status is Status.REACHED_END:
             return run
         why = f"it is in {run.mode} at t = {run.t1:.9g}, {run.final}"
@@ -275,7 +277,7 @@ def return_map(
 
 
 def _mode_after(spec: Any, edge: str) -> str | None:
-    """The mode that follows an edge, if it is unique."""
+    """The mode that follows an edge; None if there are several."""
     name, _, what = edge.rpartition(".")
     of = name if what == "release" else edge
     modes = {e.to for e in spec.transitions if e.name == of}

@@ -19,14 +19,14 @@ from .shooting import EQUILIBRIUM_MOVE, Guess, Shooting, Shot
 #: Turns simulated before each attempt of Newton's method.
 ROUNDS = (0, 8, 64)
 
-#: Divisors of a period that are tried to find the minimal one of an autonomous orbit.
+#: Divisors of a period that are tried to find the minimal period of an autonomous orbit.
 DIVISORS = (2, 3, 4, 5)
 
-#: Tolerated residual of the turn after an orbit.
+#: Tolerated residual of the turn that follows an orbit.
 LASTS = 1e-6
 
-#: A turn is not an equilibrium, however small relative to the state, if it moves by this many times
-#: its residual and by more than rounding.
+#: A turn that is small relative to the state is no equilibrium if it moves by this many times its
+#: residual and by more than rounding (the second value, relative to the state).
 OPEN, TURN_NOISE = 1e3, 1e-12
 
 
@@ -46,7 +46,7 @@ def depends_on_time(scene: Scene) -> bool:
 
 
 def given(scene: Scene, guess: Any, t: float, mode: str | None) -> Guess:
-    """The caller's guess: a state, or a run to be continued from its end."""
+    """The caller's guess as a :class:`Guess`; a run is continued from its end."""
     if isinstance(guess, Trajectory):
         last = guess.mode
         history = guess if scene.spec.lags else None
@@ -56,7 +56,7 @@ def given(scene: Scene, guess: Any, t: float, mode: str | None) -> Guess:
 
 @attrs.frozen(eq=False)
 class Search:
-    """The search for an orbit."""
+    """The search for an orbit, by section or by period."""
 
     shooting: Shooting
     section: Any
@@ -64,7 +64,13 @@ class Search:
     t_max: float
 
     def find(self, guess: Guess, settle: int) -> Shot:
-        """A closed turn, found from the guess or from a later state of its run."""
+        """A closed turn, found from the guess or from a later state of its run.
+
+        Raises
+        ------
+        OrbitError
+            If none is found from any of them.
+        """
         reached: list[str] = []
         for turns in ROUNDS:
             try:
@@ -87,7 +93,7 @@ class Search:
         )
 
     def timed(self, guess: Guess) -> Guess:
-        """The guess with the duration of its turn."""
+        """The guess with the period of its turn: the given one, or the time between returns."""
         if self.period is not None:
             return attrs.evolve(guess, period=self.period)
         shooting = self.shooting
@@ -109,7 +115,7 @@ class Search:
         return shooting.inside(run, run.t1 - period, period)
 
     def _entered(self, guess: Guess, mode: str) -> str:
-        """The mode in which time first passes: that of the guess, or one it jumps to at once."""
+        """The mode in which the run from a guess starts, or to which it jumps at once."""
         short = max(FIRST_WINDOW * self.t_max, WINDOW_SPACINGS * float(np.spacing(abs(guess.t))))
         return str(self.shooting.fly(attrs.evolve(guess, mode=mode), short).mode)
 
@@ -120,7 +126,7 @@ class Search:
         return self.shooting.after(self.shooting.fly(guess, turns * guess.period), guess.period)
 
     def moving(self, turn: Shot) -> Shot:
-        """The turn, refused if it is an equilibrium."""
+        """The turn; raises an :class:`OrbitError` if it is an equilibrium."""
         shooting, guess = self.shooting, turn.guess
         rate = np.abs(shooting.flow(guess)) / turn.scale[: len(guess.x)]
         moves = float(np.max(rate)) * guess.period
@@ -136,7 +142,8 @@ class Search:
         )
 
     def lasting(self, turn: Shot) -> Shot:
-        """The turn; refused if the next does not close: the period is then not the model's own."""
+        """The turn; raises an :class:`OptionError` if the next turn does not close: the model's
+        dependence on time then has another period."""
         shooting, guess = self.shooting, turn.guess
         later = attrs.evolve(guess, t=guess.t + guess.period)
         if guess.history is not None:
@@ -150,7 +157,7 @@ class Search:
         )
 
     def shortest(self, turn: Shot) -> Shot:
-        """The minimal orbit of one that runs through itself several times."""
+        """The turn over the minimal period, if the given turn repeats an orbit several times."""
         spread = self.shooting.spread(turn.run)
         for part in () if self.shooting.timed else DIVISORS:
             guess = attrs.evolve(turn.guess, period=turn.guess.period / part)
@@ -163,7 +170,7 @@ class Search:
 
 
 def _plane(shooting: Shooting, guess: Guess, mode: str) -> Any:
-    """The plane through a state across the flow there, with coordinates scaled by their size."""
+    """The plane through a state and normal to the flow, in coordinates scaled by their sizes."""
     scene = shooting.scene
     flow = shooting.flow(attrs.evolve(guess, mode=mode))
     if not np.any(flow):

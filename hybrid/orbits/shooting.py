@@ -1,12 +1,12 @@
-"""Newton's method for a run that ends where it begins.
+"""Newton's method for periodic orbits: a *turn*, the run of one period, must end where it begins.
 
 The unknowns are the state in the middle of an arc, where no guard is about to fire, and, in an
 autonomous model, the period. With the monodromy matrix ``M`` of the run from ``x`` to ``y`` ::
 
     (M - 1) dx + f(y) dT = x - y,        f(x) . dx = 0
 
-where the last equation fixes the start along the orbit. If the model depends on time, ``T`` is
-known and the first equation is solved with ``dT = 0``.
+where the last equation fixes the position of the start along the orbit. If the model depends on
+time, ``T`` is known and the first equation is solved with ``dT = 0``.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ if TYPE_CHECKING:
 #: Most Newton steps, and most halvings of one.
 NEWTON_STEPS, NEWTON_HALVINGS = 40, 8
 
-#: Largest change by a Newton step, relative to the size of the orbit and to the period.
+#: Largest change by a Newton step, relative to the size of the orbit or to the period.
 NEWTON_REACH = 0.5
 
-#: State elements smaller than this many times ``atol`` are scaled by that value instead.
+#: The scale of a state element is at least this many times ``atol``.
 FLOOR_ATOLS = 1e3
 
 #: Added to the residual if the ends of a turn are in different modes.
 OTHER_MODE = 1.0
 
-#: Relative motion per period below which an orbit is an equilibrium.
+#: Motion per period, relative to the state, below which an orbit counts as an equilibrium.
 EQUILIBRIUM_MOVE = 1e-6
 
-#: Smallest variation of an element used for scaling, relative to its size.
+#: The range of an element, used for scaling, is at least this fraction of its size.
 HARDLY = 1e-9
 
-#: Shortest arc of a plain mode in which an orbit may start, relative to the period.
+#: Shortest arc, relative to the period, in which an orbit may start (neither rest nor sliding).
 SHORTEST_ARC = 1e-2
 
 
@@ -68,11 +68,10 @@ class Shot:
 
     Attributes
     ----------
-    scale : array, shape (n,)
-        Largest absolute value of each element along it.
+    miss, scale : array
+        Differences between the ends of the run in each unknown, and their scales.
     residual : float
-        Largest difference between its ends, relative to ``scale``; plus 1 if they are in different
-        modes.
+        Largest ``|miss|`` relative to ``scale``; plus 1 if the ends are in different modes.
     """
 
     guess: Guess
@@ -111,7 +110,7 @@ class Shooting:
         self.scene: Scene = scene_of(model, by="hy.periodic_orbit")
 
     def turn(self, guess: Guess) -> Shot:
-        """The run of one period from a guess."""
+        """The run of one period from a guess, and its miss."""
         field = None if guess.mode is None else self.scene.field(guess.mode)
         x = guess.x
         if field is not None and field.project is not None:
@@ -150,7 +149,7 @@ class Shooting:
         return Guess(t, arc.local(np.array(tau)), arc.mode, period)
 
     def _apart(self, run: Trajectory) -> float:
-        """The addition to the residual if the ends of a turn are in different modes."""
+        """The addition to the residual: :data:`OTHER_MODE` if the ends are in different modes."""
         same = run.mode == run.parts[0].mode
         return 0.0 if same else OTHER_MODE
 
@@ -167,9 +166,10 @@ class Shooting:
         return np.maximum(goes, HARDLY * self._scale(run))
 
     def centred(self, guess: Guess) -> Guess:
-        """The same turn, started in the middle of its longest arc, of a plain mode if there is one.
+        """The same turn, started in the middle of its longest arc; of an arc at rest or sliding
+        only if there is no other.
 
-        A small change of the start then affects neither its mode nor a guard on which it starts.
+        A small change of the start then neither changes its mode nor fires a guard at once.
         """
         run = self.turn(guess).run
         arcs = [arc for arc in run.parts if isinstance(arc, Arc)]
@@ -190,7 +190,7 @@ class Shooting:
         return turn
 
     def _improved(self, turn: Shot) -> Shot | None:
-        """A Newton step, shortened until it improves; None if it does not."""
+        """The turn after a Newton step, shortened until the residual falls; None if it does not."""
         step, stretch = self._step(turn)
         far = float(np.max(np.abs(step) / self._measure(turn)))
         size = max(far, abs(stretch) / turn.guess.period)
@@ -206,7 +206,7 @@ class Shooting:
         return None
 
     def moved(self, turn: Shot, step: StateVector, stretch: float) -> Guess:
-        """The guess of a turn changed by a step."""
+        """The guess of a turn, changed by a Newton step of the state and of the period."""
         guess = turn.guess
         return attrs.evolve(guess, x=guess.x + step, period=guess.period + stretch)
 
@@ -228,7 +228,7 @@ class Shooting:
         return step, 0.0 if self.timed else float(found[-1]) * guess.period
 
     def _measure(self, turn: Shot) -> StateVector:
-        """Scale of the unknowns: their range along the run, which does not depend on the origin."""
+        """Scales of the unknowns: their ranges along the run, which do not depend on an origin."""
         return self.spread(turn.run)
 
     def flow(self, guess: Guess) -> StateVector:
@@ -241,7 +241,7 @@ class Shooting:
         return np.array(scene.field(mode).rhs(guess.t, guess.x.tolist()))
 
     def again(self, turn: Shot, period: float) -> StateVector:
-        """The state after a shorter period."""
+        """The state of a turn's run after a given shorter period."""
         return np.concatenate([np.ravel(v) for v in turn.run(turn.guess.t + period)])
 
     def describe(self, turn: Shot) -> Description:
@@ -251,7 +251,7 @@ class Shooting:
         return Description(matrix, saltations, values[np.argsort(-np.abs(values))])
 
     def variation(self, run: Trajectory) -> tuple[np.ndarray, list[Factor]]:
-        """The monodromy matrix of a run, and the matrices of its jumps and accumulations."""
+        """The monodromy matrix of a run, and the factors of its jumps and accumulations."""
         matrix, jumps = np.eye(run.spec.dimension), []
         for factor in factors(self.model, run):
             matrix = factor.matrix @ matrix

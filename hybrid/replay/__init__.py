@@ -1,4 +1,4 @@
-"""Replay of a finished run in JAX, arc by arc, for its derivatives."""
+"""Replay of a finished run in JAX, arc by arc, for its second derivatives."""
 
 from .itinerary import Itinerary, blank, plan_of
 from .laws import laws_of

@@ -1,11 +1,11 @@
-"""The run of a plan as a function that JAX can differentiate repeatedly, in either mode.
+"""The run of a plan as a function that JAX can differentiate twice, in forward and reverse mode.
 
 A step is a collocation at Gauss points. Its unknowns are the states at these points and, for a step
-that ends with a jump, its length; the closing equation is then that the guard is zero. The values
-are known from the run, and the implicit function theorem gives their derivatives. With ``J`` the
-derivative of the equations ``F = 0`` at the run's values ``u0``, one Newton step ``u - F(u) / J``
-from ``u0`` is correct to first order in everything that ``F`` depends on, and two are correct to
-second order. No decisions are made here.
+that ends with a jump, its length; the additional equation is then that the guard is zero. The
+values are known from the run, and the implicit function theorem gives their derivatives. With ``J``
+the derivative of the equations ``F = 0`` at the run's values ``u0``, one Newton step ``u - F(u) /
+J`` from ``u0`` is correct to first order in everything that ``F`` depends on, and two are correct
+to second order. Events are not detected here: the plan lists them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ DERIVATIVE_ORDERS = 2
 
 
 class ReplayedRun:
-    """The results of a run of a class, as a function of its inputs."""
+    """The results of a run as a function of its start, for given parameters and last time."""
 
     def __init__(self, laws: Laws, plan: Itinerary, parameters: Any, t1: Any) -> None:
         self.laws, self.plan, self.parameters, self.t1 = laws, plan, parameters, t1
@@ -33,7 +33,8 @@ class ReplayedRun:
         self.fixed = list(laws.guards).index(AT_LENGTH)
 
     def __call__(self, t0: Any, x: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
-        """Times, states before and after at the ends of the steps; the final time and state."""
+        """Times, and states before and after the jump, at the ends of all steps, shapes (steps,)
+        and (steps, n); the final time and state."""
         *steps, _ = self.plan
         chunks = [a.reshape(len(a) // TOGETHER, TOGETHER, *a.shape[1:]) for a in steps]
         blank = jnp.zeros(TOGETHER), *(jnp.zeros((TOGETHER, len(x))) for _ in range(2))
@@ -78,12 +79,12 @@ class ReplayedRun:
 
 
 def at(value: Any, found: Any) -> Any:
-    """``value`` with the derivatives of ``found``."""
+    """A number equal to ``value``, with the derivatives of ``found``."""
     return value + (found - stop_gradient(found))
 
 
 def _implicit(residual: Any, known: Any) -> Any:
-    """The known zero of a residual, with its derivatives by everything in the residual."""
+    """The known zero of a residual, with its derivatives by all inputs of the residual."""
     slopes = stop_gradient(jax.jacfwd(residual)(known))
 
     def better(found: Any, _: Any) -> tuple[Any, None]:

@@ -1,4 +1,4 @@
-"""The results of a run as a function that JAX can differentiate, by replay of its plan."""
+"""The results of a run as a function that JAX can differentiate twice, by replay of its plan."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .laws import Laws, laws_of
 
 
 class Replay:
-    """Replays of runs of a class.
+    """Replays of the runs of a class with the same options.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ class Replay:
     rows, room : int
         Rows of the table of jumps; most steps.
     ask : callable
-        Returns, for a row of numbers, whether the run can be flown again, and its plan; for several
-        rows, stacked plans.
+        Returns, for a row of numbers (parameters, start, first and last time), whether the run can
+        be replayed, and its plan; for several rows, stacked arrays of these.
     """
 
     def __init__(
@@ -53,28 +53,30 @@ class Replay:
 
     @cached_property
     def laws(self) -> Laws:
+        """The functions of the class."""
         return laws_of(self.code)
 
     @cached_property
     def written(self) -> bool:
-        """Whether all flows are arithmetic; JAX cannot differentiate loops in reverse mode."""
+        """Whether no flow has loops or foreign calls, which lack reverse-mode derivatives."""
         modes = [self.code.mode(mode.name) for mode in self.code.spec.modes]
         return all(mode.free and not mode.graph.foreign for mode in modes)
 
     @cached_property
     def given(self) -> tuple[Any, ...]:
-        """Shapes of the arrays of a plan."""
+        """Shapes and types of the arrays of a plan."""
         plan = blank(self.laws, self.room, self.rows)
         return tuple(jax.ShapeDtypeStruct(part.shape, part.dtype) for part in plan)
 
     def plan(self, row: Any) -> tuple[Any, Any]:
-        """Whether the run for a row of numbers can be flown again, and its plan."""
+        """Whether the run for a row of numbers can be replayed, and its plan, by a callback."""
         held, shapes = stop_gradient(row), (jax.ShapeDtypeStruct((), bool), *self.given)
         flies, *plan = jax.pure_callback(self.ask, shapes, held, vmap_method="expand_dims")
         return flies, plan
 
     def fly(self, plan: Any, row: Any) -> Any:
-        """The results of a run; ``plan`` must be that of ``row``."""
+        """The results of a run as one array, in the order of ``parts``; ``plan`` must be that of
+        ``row``. NaN for results that a replay does not give."""
         plan = Itinerary._make(plan)
         row, n = bounded(DERIVATIVE_ORDERS, row), self.code.spec.dimension
         pairs = zip(pairwise(self.ends), self.shapes, strict=True)
@@ -91,7 +93,7 @@ class Replay:
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def bounded(orders: int, row: Any) -> Any:
-    """The row, differentiable at most ``orders`` times."""
+    """The row itself; a derivative of higher order than ``orders`` is an :class:`OptionError`."""
     return row
 
 
@@ -107,7 +109,7 @@ def _(orders: int, rows: Any, changes: Any) -> Any:
 
 @custom_vmap  # type: ignore[untyped-decorator]
 def any_lane(condition: Any) -> Any:
-    """Whether a condition holds in any lane: a single value for any number of lanes."""
+    """Whether a condition holds in any lane; under ``vmap`` this is one value for all lanes."""
     return condition
 
 

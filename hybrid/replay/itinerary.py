@@ -1,4 +1,4 @@
-"""The decisions of a run as numbers: the steps of its arcs, and what ends each of them."""
+"""The plan of a run for its replay: arrays of the steps of its arcs and of what ends each."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from .laws import AT_END, AT_LENGTH, IDENTITY, Laws, laws_of
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
 
-#: Tolerated relative size of the last terms of a step's slopes; the error of Gauss collocation at
-#: the end of a step is about their square.
+#: Tolerated relative size of the last terms in the series of a step's time derivative; the error of
+#: Gauss collocation at the end of a step is about the square of this.
 SLOPE_RIPPLE = math.sqrt(COLLOCATION_TOLERANCE)
 
-#: Number of steps that are skipped together if a run has fewer than there is room for.
+#: Steps are replayed in groups of this size; groups without a step of the run are skipped.
 TOGETHER = 32
 
 
@@ -44,8 +44,9 @@ class Itinerary(NamedTuple):
     ----------
     laws : array of int, shape (steps, 4)
         Numbers of the flow, of the guard that ends the step, of the reset, and of the projection at
-        its start.
+        the start of the step.
     used : array of bool, shape (steps,)
+        Which rows are steps of the run.
     lengths, ends : array, shape (steps,)
         Length of the step, and the time at its end.
     masks : array, shape (steps, contacts)
@@ -53,7 +54,7 @@ class Itinerary(NamedTuple):
     inner : array, shape (steps, stages, n)
         States at the stages of the collocation.
     first, before, after : array, shape (steps, n)
-        States at its start, at its end, and after the jump.
+        States at the start of the step, at its end, and after the jump.
     jumps : array of int, shape (rows,)
         For each row of the table of jumps, the step that ends with it; -1 if there is none.
     """
@@ -71,7 +72,7 @@ class Itinerary(NamedTuple):
 
 
 def blank(laws: Laws, room: int, rows: int) -> Itinerary:
-    """A plan without steps.
+    """A plan without steps, to be filled.
 
     Parameters
     ----------
@@ -99,12 +100,12 @@ def blank(laws: Laws, room: int, rows: int) -> Itinerary:
 def plan_of(
     course: Course, touched: Sequence[float], ends: bool, room: int, rows: int
 ) -> Itinerary:
-    """The plan of a run.
+    """The plan of a run for its replay.
 
     Parameters
     ----------
     course : Course
-        With dense output.
+        The course of the run, with dense output.
     touched : sequence of float
         Times of tangencies.
     ends : bool
@@ -141,6 +142,8 @@ def plan_of(
 
 @attrs.frozen(eq=False)
 class _Leg:
+    """One step of a plan: see :class:`Itinerary`; ``end`` is the time at its end."""
+
     piece: ArcPiece
     mask: list[float]
     laws: list[int]
@@ -159,7 +162,7 @@ class _Leg:
 
 
 class _Maker:
-    """Makes the steps of a course.
+    """Makes the steps of a plan from a course.
 
     Attributes
     ----------
@@ -174,7 +177,13 @@ class _Maker:
         self.jumps: list[int] = []
 
     def steps(self, ends: bool) -> Iterator[_Leg]:
-        """The steps in order."""
+        """The steps in order; the last one ends at the run's last time if ``ends``.
+
+        Raises
+        ------
+        OrbitError
+            If the run cannot be replayed.
+        """
         parts, jumps = self.course.parts, self.course.jumps
         self._smooth(parts[0].t0, self.walk.begin()[1])
         for index, part in enumerate(parts):
@@ -198,7 +207,7 @@ class _Maker:
             yield from self._arc(part, jump, ends and last)
 
     def _alone(self, index: int, jump: JumpRow, after: Part | None) -> None:
-        """Refuse simultaneous jumps, and jumps that do not depend smoothly on everything."""
+        """Raise if a jump coincides with another event, or its guard has a formula that changes."""
         if isinstance(after, Arc) and not after.length and index + 1 in self.course.jumps:
             raise OrbitError(
                 f"{self.model}: at t = {jump.t!r} several jumps have no time between them; a run "
@@ -214,6 +223,7 @@ class _Maker:
         self._smooth(jump.t, ties)
 
     def _smooth(self, t: float, ties: Matrix) -> None:
+        """Raise an :class:`OrbitError` if a perturbation can break ties."""
         if np.any(ties):
             raise OrbitError(
                 f"{self.model}, t = {t!r}: another event happens at the same instant, but "
@@ -221,6 +231,7 @@ class _Maker:
             )
 
     def _arc(self, arc: Arc, jump: JumpRow | None, ends: bool) -> Iterator[_Leg]:
+        """The steps of an arc, the last of which ends with ``jump``, if there is one."""
         field, t = self.scene.field(arc.mode), arc.t0 + arc.low
         found = [piece for segment in arc.segments for piece in self._pieces(field, t, segment)]
         if not found:
@@ -256,7 +267,7 @@ class _Maker:
             first, onto = before, IDENTITY
 
     def _pieces(self, field: Field, t: float, segment: Segment) -> Iterator[ArcPiece]:
-        """A step of the run in parts short enough for the collocation."""
+        """A step of the run, divided into parts short enough for the collocation."""
         if field.changes:
             raise OrbitError(
                 f"{self.model}: the flow of {field.name} has a formula that changes; it cannot be "
@@ -280,4 +291,5 @@ def _resolved(rate: MatrixFunction, piece: ArcPiece, units: Numbers) -> Iterator
 
 
 def _number(laws: Mapping[Any, Any], key: Any) -> int:
+    """The number of a function: its position in a dict of :class:`.Laws`."""
     return list(laws).index(key)

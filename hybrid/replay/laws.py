@@ -21,28 +21,29 @@ from ..lowering.mode import RELEASE_SUFFIX
 #: A function of ``(parameters, mask, t, x)``.
 Law = Callable[..., Any]
 
-#: Conditions other than guards that end a step: its length is fixed; or it ends at the last time.
+#: Names of the conditions, other than guards, that end a step: it has a fixed length, or it ends at
+#: the run's last time.
 AT_LENGTH, AT_END = "length", "end"
 
-#: A reset or projection that does not change the state.
+#: Name of the reset or projection that does not change the state.
 IDENTITY = "same"
 
 
 class Laws:
-    """The functions of a class by name; their order defines their numbers.
+    """The functions of a class by name; their order in each dict defines their numbers.
 
     Attributes
     ----------
     contacts : tuple of str
         Contacts that can be held, in the order of the mask.
     flows : dict
-        By mode, and whether contacts are held.
+        Flows, by mode and whether contacts are held.
     guards : dict
-        By edge; ``"<contact>.release"`` is a load.
+        Guards, by edge; that of ``"<contact>.release"`` is the load on the contact.
     resets : dict
-        By edge.
+        Resets, by edge.
     onto : dict
-        By mode: projections onto the held contacts or the surface.
+        Projections onto the held contacts or the sliding surface, by mode.
     """
 
     def __init__(self, code: Lowered) -> None:
@@ -82,7 +83,7 @@ class Laws:
             )(p, t, x)
 
     def _held(self, mode: str, names: Sequence[str]) -> Callable[[Any], Held]:
-        """The contacts of a mode, held according to a mask."""
+        """A function of the mask that returns the held contacts of a mode."""
         laws = tuple(self.code.laws(name) for name in names)
         flow = again(self.code.closed("flow", mode))
         places = [self.contacts.index(name) for name in names]
@@ -90,7 +91,7 @@ class Laws:
 
 
 def chosen(laws: dict[Any, Law], number: Any, *given: Any) -> Any:
-    """The result of function ``number``."""
+    """The result of function ``number`` of ``laws``; the number may be traced."""
     branches = list(laws.values())
     return branches[0](*given) if len(branches) == 1 else jax.lax.switch(number, branches, *given)
 

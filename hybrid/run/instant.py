@@ -16,7 +16,7 @@ from ..lowering import Guard, Scene
 from ..rules.guards import NEAR
 from ..rules.zeros import EPS
 from ..zeno.cycle import CycleLimit
-from ..zeno.instant import Impacts, shrinking
+from ..zeno.instant import Cascade, shrinking
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -70,7 +70,7 @@ def collapse(scene: Scene, mode: str, recent: Sequence[Seen], t_error: float) ->
     found = touching(scene, mode, t, x, t_error)
     if found is None:
         return None
-    turn = shrinking(Impacts(found.gain, found.laws, found.gaps, found.speeds), t_error)
+    turn = shrinking(Cascade(found.gain, found.laws, found.gaps, found.speeds), t_error)
     if turn is None:
         return None
     x_inf = x + turn.changes @ found.pushes

@@ -1,4 +1,4 @@
-"""What a run was asked for, what it records, and what it found: data only."""
+"""The options, the record and the result of a run, as data."""
 
 from .trajectory import Solution, Status
 

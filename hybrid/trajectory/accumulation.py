@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 #: the series to the limit. A larger error would allow for a different series.
 THERE = 1e-3
 
-#: Ratio of successive gaps above which they are not said to shrink.
+#: Ratio of successive durations of a cycle up to which they count as shrinking.
 SHRINKS = 1.0 - 1e-9
 
 
 @attrs.define(eq=False)
 class Truncation:
-    """What a truncated series leaves out (section 2 of the paper).
+    """The part of a series that ``zeno="truncate"`` leaves out (section 2 of the paper).
 
     Attributes
     ----------
@@ -60,14 +60,14 @@ class Accumulation:
     ratio : float
         Limit of the ratio of successive gaps in time; NaN if the restitution draws random numbers.
     edges : tuple of str
-        The cycle of edges.
+        The edges of one turn of the cycle; for impacts of one contact, the contact.
     limits : tuple of (str, Record)
         If resets move the state: the jumps of a turn in order, each with the limit of the state
-        after it; the last is ``state``. Otherwise empty.
+        after it; the last limit is ``state``. Otherwise empty.
     mode : str or None
-        The mode entered after it.
+        The mode entered after the accumulation; None if the run ended there.
     t_release : float or None
-        When that mode was left; None if it was not left in this run.
+        Time at which that mode was left; None if it was not left in this run.
     truncation : Truncation or None
         With ``zeno="truncate"``: the distance to the full solution.
     """
@@ -88,17 +88,18 @@ class Accumulation:
     _since: float = attrs.field(default=inf, alias="since", repr=False)
 
     def held_by(self, contact: str) -> bool:
-        """Whether it led to a rest that the release of a contact ends: the one whose impacts
-        accumulate, or of those in a cycle of edges one that is held."""
+        """Whether the release of a contact ends the rest after this accumulation: the contact's
+        impacts accumulate, or it is in the cycle of edges and held afterwards."""
         held = parted(self.mode or "")[1]
         return self.edges == (contact,) or (contact in self.edges and contact in held)
 
     @property
     def proofs(self) -> list[Proof]:
-        """Proofs that the impacts accumulate, with increasingly narrow bounds.
+        """Proofs that the impacts accumulate, with increasingly narrow bounds; empty if none
+        succeeds.
 
-        They start from successive impacts, are computed when this, ``verdict`` or ``enclosure`` is
-        first read, and need python-flint (extra ``certify``). Empty if none succeeds.
+        They start from successive impacts. They are computed when this, ``verdict`` or
+        ``enclosure`` is first read, and need python-flint (extra ``certify``).
         """
         if callable(self._proofs):
             self._proofs = self._proofs() if find_spec("flint") is not None else []
@@ -119,10 +120,10 @@ class Accumulation:
     def verdict(self) -> str:
         """How the accumulation is known.
 
-        ``"certified"`` if it is proved from an integrated impact on, and the comparison runs show
-        it at the same place (``t_error`` is small relative to the time since the first impact of
-        the series); ``"estimated"`` if the series was summed and seen to converge; ``"truncated"``
-        if ``zeno="truncate"`` cut it off.
+        ``"certified"`` if it is proved from an integrated impact on, and the comparison runs
+        accumulate at the same time (``t_error`` is small relative to the time since the first
+        impact of the series); ``"estimated"`` if the series was summed and converged numerically;
+        ``"truncated"`` if ``zeno="truncate"`` cut it off.
         """
         return "certified" if self._proved else self._verdict
 
@@ -159,8 +160,8 @@ class Accumulation:
     def t_error(self) -> float:
         """Bound on the error of ``t``, from the integration and from the summation.
 
-        The former is measured when this is first read, by a second run with Taylor series accurate
-        to rounding; it is infinite if that run does not show the same accumulations.
+        The error of the integration is measured when this is first read, by a second run with
+        Taylor series accurate to rounding; it is infinite if that run has other accumulations.
         """
         return self._error[0]
 
@@ -170,7 +171,7 @@ class Accumulation:
         return self._error[1]
 
     def __repr__(self) -> str:
-        """What is known; bound and verdict only if they have been computed."""
+        """The accumulation in one line; bound and verdict only if they have been computed."""
         if self.truncation is not None:
             return explain(self)
         bound = f" ± {self.t_error:.1g}" if self.measured else ""
@@ -182,7 +183,7 @@ class Accumulation:
 
 
 def unfinished(edges: Sequence[str], times: Sequence[float]) -> str:
-    """What a run was doing when ``max_jumps`` was used up, in a sentence."""
+    """A sentence on the last jumps of a run that stopped at ``max_jumps``."""
     length = period(edges)
     if not length:
         return "The last jumps are no cycle."
@@ -203,15 +204,7 @@ def explain(point: Accumulation) -> str:
     """One accumulation in a sentence or two; also the message of ``zeno="raise"``."""
     cycle = ", ".join(point.edges)
     if point.truncation is not None:
-        cut = point.truncation
-        ended = f"have ended at t_inf = {cut.t_inf!r}, {cut.gap:.3g} later"
-        if isnan(cut.t_inf):
-            ended = "not have ended within the run"
-        return (
-            f"At t = {point.t!r} the series of {cycle} was cut off after {cut.impacts} impacts "
-            f"(zeno='truncate') and the contact is held; in full it would {ended}, after "
-            f"rising {cut.height:.3g} at most."
-        )
+        return _explain_truncation(point, point.truncation)
     chatters = len(point.edges) == 1 and point.ratio < 1.0
     how = "summed by the chatter map" if chatters else "found by sequence acceleration"
     if isnan(point.ratio):
@@ -241,4 +234,15 @@ def explain(point: Accumulation) -> str:
         f"Jumps of {cycle} accumulate at t_inf = {point.t!r} with {pace}; the "
         f"limit {how}. {then} (zeno='rest' goes on at rest, 'stop' ends the "
         "run, 'truncate' cuts the series, 'raise' makes it an error)."
+    )
+
+
+def _explain_truncation(point: Accumulation, cut: Truncation) -> str:
+    ended = f"have ended at t_inf = {cut.t_inf!r}, {cut.gap:.3g} later"
+    if isnan(cut.t_inf):
+        ended = "not have ended within the run"
+    return (
+        f"At t = {point.t!r} the series of {', '.join(point.edges)} was cut off after "
+        f"{cut.impacts} impacts (zeno='truncate') and the contact is held; in full it would "
+        f"{ended}, after rising {cut.height:.3g} at most."
     )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class _Moded:
-    """Properties that follow from the name of a part's mode."""
+    """Properties of a part that follow from the name of its mode."""
 
     mode: str
 
@@ -56,19 +56,21 @@ class Arc(_Moded):
         The mode; ``"<mode>.rest(<contact>)"`` at rest, ``"slide(<switching>)"`` while sliding.
         ``held`` and ``sliding`` give the contacts and the switching.
     j : int
-        Number of jumps before it.
+        Number of jumps before the arc.
     t0 : float
         Start time.
     low : float
-        Rounding error of ``t0``: the jump is at ``t0 + low`` (compensated sum).
+        Rounding error of ``t0``: the arc starts at ``t0 + low`` (compensated sum).
     length : float
         Duration; exact where ``t1 - t0`` would round to zero.
     t1 : float
-        End time: that of the jump there, or the run's last time.
+        End time: that of the next jump, or the run's last time.
     first, last : array
-        States at its ends.
+        States at the start and at the end.
     segments : sequence of Segment
         Dense output in local time; empty if none was kept.
+    project : callable or None
+        At rest or sliding: the projection ``(t, x)`` of interpolated states.
     """
 
     mode: str
@@ -83,12 +85,12 @@ class Arc(_Moded):
     project: Callable[..., Any] | None = None
 
     def ending(self, x: StateVector) -> Arc:
-        """The arc with another final state."""
+        """The same arc with the final state ``x``."""
         row = self.mode, self.j, self.t0, self.low, self.length, self.t1, self.first, x
         return Arc(*row, self.segments, self.project)
 
     def then(self, other: Arc) -> Arc:
-        """This arc joined with one that continues it in the same mode."""
+        """This arc joined with ``other``, which continues it in the same mode."""
         since = (other.t0 - self.t0) + (other.low - self.low)
         segments = [*self.segments, *(segment.later(since) for segment in other.segments)]
         length = since + other.length
@@ -96,7 +98,7 @@ class Arc(_Moded):
         return Arc(self.mode, self.j, self.t0, self.low, *ends, segments, other.project)
 
     def local(self, tau: Any) -> np.ndarray:
-        """State at local times in the arc; shape ``tau.shape + (n,)``."""
+        """States at local times in the arc, shape ``tau.shape + (n,)``."""
         tau = np.asarray(tau, dtype=float)
         flat = np.clip(np.atleast_1d(tau).reshape(-1), 0.0, self.length)
         states = np.empty((len(flat), len(self.first)))
@@ -158,7 +160,7 @@ class Table(NamedTuple):
 
 @attrs.frozen(eq=False)
 class TailPart(_Moded):
-    """A chattering tail in a trajectory: ``tail.count + 1`` arcs from arc ``j`` on."""
+    """A chattering tail in a trajectory: ``tail.count + 1`` arcs, from number ``j`` on."""
 
     tail: Tail
     j: int

@@ -1,4 +1,4 @@
-"""Time in two floats, so that gaps below the spacing of floats around ``t`` add up."""
+"""Time in two floats, so that durations below the spacing of floats around ``t`` add up."""
 
 from __future__ import annotations
 
@@ -21,5 +21,5 @@ class Instant:
         return Instant(t, low - (t - total))
 
     def until(self, t: float) -> float:
-        """Duration from here to ``t``."""
+        """Duration from this instant to ``t``."""
         return (t - self.t) - self.low

@@ -1,7 +1,7 @@
 """Contact forces of a run: the force on a contact at rest, the impulse of an impact.
 
 Both are multipliers of ``W grad_q(gap)`` (:mod:`hybrid.lowering.contact`). The force keeps the
-gap's acceleration at zero; the impulse gives the gap the speed that the restitution demands.
+gap's acceleration at zero; the impulse changes the gap speed according to the restitution.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def _impulse(graph: ModeGraph, contact: str) -> list[int]:
 
 
 def _struck(run: Solution, contact: str) -> Numbers:
-    """Times at which a contact is struck, except where its impacts accumulate and fade out."""
+    """Times of the impacts of a contact, except those at accumulation points."""
     times = run.jumps.t[run.jumps.edge == contact]
     return times[~np.isin(times, [point.t for point in run.zeno])]
 
@@ -94,8 +94,11 @@ def _turned(graph: ModeGraph, contact: str) -> list[int]:
 def _on_pieces(
     scene: Scene, mode: str, programs: tuple[Program, Program], table: Table, rows: Integers
 ) -> list[float]:
-    """The impulses of impacts of a model with signals. At a knot one was given on the piece before
-    it, or on that behind it: the states tell on which."""
+    """The impulses of impacts of a model with signals, in the order of ``rows``.
+
+    At a knot of a signal, the impact was computed with the piece before or after it. The impulse
+    that agrees with the change of state is chosen.
+    """
     found, times = [], table.t[rows].tolist()
     for k, t, behind in zip(rows.tolist(), times, scene.through_time(times), strict=True):
         before, pieces, own = table.before[k].tolist(), [behind], []
@@ -111,7 +114,7 @@ def _on_pieces(
 
 
 def scene_known(spec: Spec, parameters: Mapping[str, Any], scene: Scene | None) -> Scene:
-    """The model of a run with its parameters.
+    """The model of a run with its parameters: ``scene``, unless it is None.
 
     Raises
     ------

@@ -29,9 +29,9 @@ class Steps(NamedTuple):
     Attributes
     ----------
     arc : array of int
-        The arc that each belongs to, counted from the first of these.
+        Index of the arc to which each step belongs, counted from the first of these arcs.
     start, length : array
-        Local start, and length.
+        Start in the local time of the arc, and length.
     values : array, shape (steps, degree + 1, n)
         States at :func:`hybrid.segment.nodes`.
     """
@@ -70,14 +70,15 @@ class Flights:
     t, low : float
         Start of the first arc, in two floats.
     x : array, shape (n,)
-        State there.
+        State at the start of the first arc.
     lengths : array, shape (arcs,)
+        Durations.
     jumps : Table
         The jump after each arc.
     steps : Steps or None
         The dense output, if it is kept.
     onto : dict
-        For modes with held contacts or sliding, the projection onto these.
+        Projections onto the held contacts or the sliding surface, by mode.
     """
 
     j: int
@@ -130,11 +131,11 @@ class Flights:
         return [self._kept(Arc(*row)) for row in columns]
 
     def _began(self, mode: str, t: float, x: StateVector) -> StateVector:
-        """The state at the start of an arc, projected onto the held contacts."""
+        """The state at the start of an arc; projected, if the mode holds contacts."""
         return np.array(self.onto[mode](t, x.tolist())) if parted(mode)[1] else x
 
     def _kept(self, arc: Arc) -> Arc:
-        """An arc projected onto its contacts or surface."""
+        """An arc, projected onto the held contacts or the sliding surface of its mode."""
         onto = self.onto.get(arc.mode)
         if onto is None:
             return arc
@@ -192,9 +193,10 @@ class Log:
         self.own[len(self.kept) - 1] = row
 
     def then(self, other: Log, j: int) -> Log:
-        """This log joined with one that continues it after ``j`` jumps.
+        """This log joined with ``other``, which continues it after ``j`` jumps.
 
-        An arc that was cut there, i.e. whose mode continues without a jump, becomes one arc again.
+        If the mode continues without a jump, the last arc and the first arc of ``other`` become
+        one.
         """
         kept, own, jumps = list(self.kept), dict(self.own), dict(other.own)
         more = [attrs.evolve(part, j=part.j + j) for part in other.kept]

@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
 
-#: Impacts are summed anew only after their speed has fallen to this fraction.
+#: After a failed sum, the next one is tried when the impact speed has fallen to this fraction.
 PATIENCE = 0.6
 
 #: Impacts of a series before the first attempt at a sum.
@@ -24,8 +24,10 @@ class Plan:
 
     Attributes
     ----------
+    t0, t1, rtol, atol, zeno, max_jumps, progress
+        As for :func:`hybrid.simulate`.
     cap : int or None
-        Impacts permitted in a series, with ``zeno="truncate"``.
+        With ``zeno="truncate"``: number of impacts after which a series is cut off.
     dense : bool
         Whether to keep dense output.
     samples : array or None
@@ -33,16 +35,16 @@ class Plan:
     memory : "keep" or "restart"
         What delays see after a jump: the recorded past, or the state after the jump.
     accumulations : int or None
-        Stop at this accumulation (in a second run, which measures errors).
+        Number of accumulations after which to stop (in a second run, which measures errors).
     closing, patience : float, int
-        Tolerance of a sum relative to the run's, and impacts before the first attempt at one.
+        Tolerance of a sum relative to the run's, and impacts before the first attempt at a sum.
     watchful : int or None
-        Verify every step along the flow, for at most this many steps
+        Verify the defect of every step, for at most this many steps
         (:mod:`hybrid.solvers.watchful`).
     shaken : bool
-        Perturb the states of such a run by the effect of rounding on brief forces.
+        In a watchful run: perturb the states by the effect of rounding on brief forces.
     trusted : bool
-        Accept its steps unverified: a run like it has been verified.
+        In a watchful run: accept steps unverified, as those of a similar run have been verified.
     max_step, first_step : float
         Longest step, and longest first step of an arc; infinite if not limited.
     max_steps : float

@@ -16,8 +16,8 @@ USED = ("numpy", "scipy", "jax", "diffrax", "numba", "python-flint")
 class Stats:
     """The cost of a run.
 
-    Flights below rounding and summed series of impacts take no steps. The further runs by which
-    errors are measured, on demand, are not counted.
+    Flights shorter than rounding and summed series of impacts take no steps. The additional runs
+    that measure errors on demand are not counted.
 
     Attributes
     ----------
@@ -26,8 +26,8 @@ class Stats:
     rejected : int or None
         Steps that exceeded the tolerances and were repeated with a shorter length. None if it is
         not known: for SciPy's Radau, BDF and LSODA, for arcs that run as one compiled program with
-        ``solver="diffrax"``, and for plug-ins that do not count. 0 with Taylor series, which know
-        the length of a step before making it.
+        ``solver="diffrax"``, and for plug-ins that do not count. 0 with Taylor series, where the
+        length of a step follows from its coefficients.
     evaluations : int or None
         Evaluations of the flow, including those for Jacobian matrices by differences; with Taylor
         series its expansions, one for each step. None if it is not known: for

@@ -1,8 +1,8 @@
-"""What a run found, in hybrid time: arcs joined by jumps, and limit points of jumps.
+"""The trajectory of a run in hybrid time: arcs joined by jumps, and limit points of jumps.
 
 A trajectory is a list of arcs; between two of them lies a jump or an accumulation of jumps. A
-chattering tail has infinitely many arcs; they are made from its curve on request, as many as a
-double can tell from the limit.
+chattering tail has infinitely many arcs. They are made from its curve on request, as far as their
+times differ from the limit in double precision.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .stats import Stats
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
 
-#: Accumulations that ``repr`` lists, and that ``explain`` explains by default.
+#: Most accumulations that ``repr`` lists, and that ``explain`` explains by default.
 LISTED, EXPLAINED = 9, 36
 
 
@@ -106,7 +106,7 @@ class Jumps(Sequence[Jump]):
 
     @cached_property
     def j(self) -> np.ndarray:
-        """Number of jumps before each."""
+        """Number of jumps before each jump."""
         return np.arange(len(self))
 
     @property
@@ -116,21 +116,21 @@ class Jumps(Sequence[Jump]):
 
     @cached_property
     def before(self) -> Record:
-        """States before, as a record of columns."""
+        """States before the jumps, as a record of columns."""
         return self._observed(self.t, self.table.before)
 
     @cached_property
     def after(self) -> Record:
-        """States after, as a record of columns."""
+        """States after the jumps, as a record of columns."""
         return self._observed(self.t, self.table.after)
 
     @cached_property
     def impulse(self) -> Numbers:
         """The impulse of each impact: the velocities change by ``impulse * W grad_q(gap)``.
 
-        NaN for a jump that is not an impact: an edge's reset need not be an impulse, and a release
-        has none. With ``inverse_mass`` it is an impulse in the units of mass and gap; without,
-        ``W`` is 1.
+        NaN for a jump that is not an impact: the reset of an edge need not be an impulse, and a
+        release has none. With ``inverse_mass`` it is an impulse in the units of mass and gap;
+        without, ``W`` is 1.
 
         Raises
         ------
@@ -188,7 +188,7 @@ class Accumulations(list[Accumulation]):
 
 
 def _place(index: Any, count: int, what: str) -> int:
-    """The place of one of so many things."""
+    """An index counted from the start; an :class:`IndexError` says which ``what`` is missing."""
     try:
         return range(count)[index]
     except IndexError:
@@ -197,7 +197,7 @@ def _place(index: Any, count: int, what: str) -> int:
 
 @attrs.define(eq=False)
 class Solution:
-    """What a run found, in hybrid time: data, and sentences about it.
+    """The result of a run in hybrid time, and sentences that explain it.
 
     The attributes are documented at :class:`hybrid.Trajectory`.
     """
@@ -232,7 +232,7 @@ class Solution:
 
     @property
     def own_jumps(self) -> dict[int, JumpRow]:
-        """Jumps by the index of the part that they end; those within tails left out."""
+        """Jumps by the index of the part that they end; impacts within tails are left out."""
         return self._apart[1]
 
     @property
@@ -251,7 +251,7 @@ class Solution:
         return np.abs([state for arc in self.arcs for state in (arc.first, arc.last)]).max(axis=0)  # type: ignore[no-any-return]
 
     def differs(self, spec: Spec, parameters: dict[str, Any]) -> str:
-        """How the run's model differs from another one; empty if it does not."""
+        """How the run's model differs from that of a spec and parameters; empty if it does not."""
         mine, other = ([(s.name, s.shape) for s in own.states] for own in (self.spec, spec))
         if (self.spec.model, mine) != (spec.model, other):
             return f"the run is one of {self.spec.model}({', '.join(self.spec.names)})"
@@ -262,7 +262,7 @@ class Solution:
 
     @property
     def surfaces(self) -> dict[str, Any]:
-        """The guards by edge, as they are at the end; empty in a run that was loaded."""
+        """The guards at the end of the run, by edge; empty for a run that was loaded."""
         return dict(self.hindsight.scene.at(self.t1).guards) if self.hindsight else {}
 
     def __call__(self, t: Any, j: int | None = None, *, side: str = "right") -> Record:
@@ -272,7 +272,7 @@ class Solution:
         ----------
         t : float or array
         j : int, optional
-            Number of jumps so far: selects one of several states at a jump time.
+            Number of jumps before the arc that is evaluated: selects a state at a jump time.
         side : "right" or "left"
             At a jump time: the state after all jumps there, or before them.
 
@@ -285,13 +285,13 @@ class Solution:
         Raises
         ------
         OptionError
-            Outside the run, or if no dense output was kept.
+            If a time is outside the run, or no dense output was kept.
         """
         times = _times(t)
         return self.observed(times, self.states(times, j, side=side))
 
     def __getattr__(self, name: str) -> Any:
-        """Say where what is asked for is, as nothing here has that name."""
+        """Raise an :class:`AttributeError` that says how to get a state, an output or a time."""
         spec = None if name.startswith("_") else self.spec
         own = () if spec is None else (*spec.names, *(output.name for output in spec.outputs))
         if name in own:
@@ -307,7 +307,7 @@ class Solution:
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def states(self, t: Any, j: int | None = None, *, side: str = "right") -> np.ndarray:
-        """The same as vectors: an axis of coordinates behind those of ``t``."""
+        """The states at times ``t`` as vectors, shape ``t.shape + (n,)``; see ``run(t)``."""
         times = _times(t)
         if side not in ("right", "left"):
             raise OptionError(f"side={side!r}: 'right' or 'left'")
@@ -389,8 +389,8 @@ class Solution:
         Returns
         -------
         array
-            Of the shape of ``t``. At rest, the multiplier of ``W grad_q(gap)`` that holds the gap
-            at zero; 0 while the contact is open; NaN at an impact. With ``inverse_mass`` it is a
+            Shape ``t.shape``. At rest, the multiplier of ``W grad_q(gap)`` that keeps the gap at
+            zero; 0 while the contact is open; NaN at an impact. With ``inverse_mass`` it is a
             force in the units of mass and gap; without, all masses are 1, and it is an
             acceleration.
 
@@ -402,8 +402,8 @@ class Solution:
 
         Notes
         -----
-        Several contacts at rest each have their own share. Where a rest begins or ends, the value
-        is that on the right side; where impacts accumulate, that of the rest that follows.
+        For several contacts at rest, each has its own force. At a time where a rest begins or ends,
+        the value is the limit from later times; so it is at an accumulation point.
         """
         return force(self, contact, t)
 
@@ -411,7 +411,7 @@ class Solution:
 
     @cached_property
     def arcs(self) -> list[Arc]:
-        """All arcs; those of a chattering tail as far as a double can tell them apart."""
+        """All arcs; those of a chattering tail as far as they differ in double precision."""
         arcs: list[Arc] = []
         for part in self.parts:
             if isinstance(part, TailPart):
@@ -438,16 +438,16 @@ class Solution:
         """The mode at the end."""
         return self.log.kept[-1].mode
 
-    # -- words ------------------------------------------------------------------------
+    # -- sentences --------------------------------------------------------------------
 
     def explain(self, *, whole: bool = False) -> str:
-        """What happened, in a few sentences.
+        """What happened in the run, in a few sentences.
 
         Parameters
         ----------
         whole : bool
             Whether to explain all accumulations; by default only the first and the last of many.
-            Their verdicts and error bounds are computed.
+            Verdicts and error bounds of those explained are computed.
         """
         lines = [
             f"{self.spec.model}, t = {self.t0:g} to {self.t1:g}: "
@@ -474,7 +474,7 @@ class Solution:
 
 
 def counted(count: int, what: str) -> str:
-    """How many there are of a thing."""
+    """A number with a noun, in the plural unless it is 1."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 

@@ -1,10 +1,10 @@
 """The first variation along an arc: fundamental matrices of the variational equation.
 
 They are computed by power series from the start of each step or, for a flow without series, by
-collocation on dense output. A perturbation of the state obeys ``d' = f_x d + f_p dp``. Where a
-formula of the flow changes, the flow may jump from ``f-`` to ``f+``. With ``k`` the deciding
-function, the perturbation then jumps by the saltation matrix ``1 + (f+ - f-) k_x / (k_t + k_x
-f-)``.
+collocation on dense output. A perturbation of the state obeys ``d' = f_x d + f_p dp``. At a *kink*,
+where a formula of the flow changes, the flow may jump from ``f-`` to ``f+``. With ``k`` the
+*deciding function*, whose sign selects the formula, the perturbation is then multiplied by the
+saltation matrix ``1 + (f+ - f-) k_x / (k_t + k_x f-)``.
 """
 
 from __future__ import annotations
@@ -35,13 +35,14 @@ STAGES = 8
 #: formula takes as many as a double has bits, so this allows for several.
 COLLOCATION_TOLERANCE, COLLOCATION_HALVINGS = 1e-12, 200
 
-#: Most pieces into which a step is divided so that no direction is lost beside another.
+#: Most pieces into which a step is divided so that rounding in a fast-growing direction does not
+#: hide a slow one.
 MOST_PIECES = 1000
 
-#: Fractions of a step at which the sides of its kinks and the size of the state are evaluated.
+#: Fractions of a step at which the deciding functions and the size of the state are evaluated.
 STEP_PLACES = nodes(8)
 
-#: The fraction at which a step starts.
+#: The fraction of a step at its start, as an array.
 START = np.zeros(1)
 
 
@@ -67,29 +68,30 @@ class ArcPiece:
 
     @property
     def first(self) -> Numbers:
-        """The state at its start."""
+        """The state at the start of the piece."""
         whole = self.start == self.segment.start
         state: np.ndarray = self.segment.at(START)[0] if whole else self.segment(self.start)
         return state
 
     @property
     def beside(self) -> float:
-        """Distance from an end at which its side of a kink is evaluated."""
+        """Distance in time from the ends of the piece at which one-sided values are evaluated."""
         share = max(KINK_SIDE, TOLD_APART * self.segment.end / self.length)
         return min(share, MOST_ASIDE) * self.length
 
     def inside(self, ends: bool) -> float:
-        """The local time at that distance from an end."""
+        """The local time at distance ``beside`` from the end if ``ends``, else from the start."""
         return self.end - self.beside if ends else self.start + self.beside
 
     def halves(self) -> list[ArcPiece]:
-        """Its two halves."""
+        """The two halves of the piece."""
         half = 0.5 * self.length
         starts = self.start, self.start + half
         return [ArcPiece(self.t, self.segment, start, half) for start in starts]
 
     def flow(self, field: Flowing, ends: bool) -> tuple[np.ndarray, np.ndarray]:
-        """The one-sided limit of the flow at one of its ends, and the size of the flow near it."""
+        """The flow at the end (if ``ends``) or the start, as a limit from inside the piece; and the
+        size of the flow near there, element by element."""
         end, way = (self.end, -1.0) if ends else (self.start, 1.0)
         taus = [end + way * s for s in (self.beside, 2.0 * self.beside, 0.5 * self.length)]
         near, far, middle = (
@@ -99,7 +101,8 @@ class ArcPiece:
 
 
 def composed(second: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """The composition of two maps; columns after those of the state belong to parameters."""
+    """The matrix of ``first`` followed by ``second``, each of shape ``(n, n + q)``: the last ``q``
+    columns belong to parameters."""
     size = len(first)
     found = second[:, :size] @ first
     found[:, size:] += second[:, size:]
@@ -113,7 +116,7 @@ def along(
     segments: Sequence[Segment],
     apart: float = np.inf,
 ) -> Iterator[tuple[float, np.ndarray]]:
-    """Local times, and matrices that map a perturbation from each time to the next.
+    """Carry perturbations along an arc, piece by piece.
 
     Parameters
     ----------
@@ -124,12 +127,18 @@ def along(
     segments : sequence of Segment
         Empty if the arc has no length.
     apart : float
-        The largest ratio, as a logarithm, to which directions may grow apart in one matrix.
+        Largest logarithm of the ratio of the fastest to the slowest growth within one matrix.
+
+    Yields
+    ------
+    (float, array)
+        Local end time of a piece, and the matrix of shape ``(n, n + q)`` that maps a perturbation
+        at its start to one at its end.
     """
     series, rates = of.series(field), partial(of.flow, field)
     kinks, largest = None, np.zeros(of.size)
     if field.changes and segments:
-        segments = told(segments)
+        segments = resolvable(segments)
         largest = np.max([middle(field, t, segment) for segment in segments], axis=0)
         kinks = of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))
     last: ArcPiece | None = None
@@ -146,8 +155,8 @@ def along(
 
 
 def shorter(rate: MatrixFunction, whole: Sequence[ArcPiece], apart: float) -> Iterator[ArcPiece]:
-    """Pieces in which the fastest and the slowest rate of growth stay together, up to a ratio. One
-    that would be too many stays whole."""
+    """Divide pieces until the fastest and the slowest growth within each differ by a factor of at
+    most ``exp(apart)``. A piece that would need more than :data:`MOST_PIECES` stays whole."""
     for piece in whole:
         tau, n = piece.start + 0.5 * piece.length, len(piece.first)
         rates = rate(piece.t + tau, piece.segment(tau))[:, 1 : 1 + n]
@@ -159,7 +168,7 @@ def shorter(rate: MatrixFunction, whole: Sequence[ArcPiece], apart: float) -> It
 
 
 def _resolve(rate: MatrixFunction, piece: ArcPiece, units: np.ndarray) -> np.ndarray:
-    """The matrix of a piece, which is halved until it is resolved."""
+    """The matrix of a piece by collocation, halving the piece until it is resolved."""
     open_pieces, left, found = [(piece, *collocate(rate, piece))], COLLOCATION_HALVINGS, None
     while open_pieces:
         piece, once, ripple = open_pieces.pop()
@@ -178,7 +187,7 @@ def _resolve(rate: MatrixFunction, piece: ArcPiece, units: np.ndarray) -> np.nda
 
 
 def sizes(piece: ArcPiece, matrix: Matrix, units: Numbers) -> Matrix:
-    """Scale of a matrix's entries.
+    """The size against which the error of each entry of a piece's matrix is measured.
 
     State columns are scaled by their largest entry. Parameter columns are scaled by the
     larger of their own largest entry and the ratio of each state's size to the parameter's.
@@ -194,8 +203,8 @@ def sizes(piece: ArcPiece, matrix: Matrix, units: Numbers) -> Matrix:
 
 
 def collocate(rate: MatrixFunction, piece: ArcPiece) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix of a piece by collocation, and the size of the last terms of the Legendre series
-    that is integrated, which estimates the error."""
+    """The matrix of a piece by Gauss-Legendre collocation, and an estimate of its error: the size
+    of the last terms of the Legendre series that is integrated. Both have the same shape."""
     points, inner, weights, series = gauss()
     taus, whole = piece.start + piece.length * points, piece.length == piece.segment.length
     states = piece.segment.at(points) if whole else piece.segment(taus)
@@ -225,11 +234,10 @@ def gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 # where a formula of the flow changes
 
 
-def told(segments: Sequence[Segment]) -> list[Segment]:
-    """The steps that are long enough to be evaluated on their sides of kinks.
+def resolvable(segments: Sequence[Segment]) -> list[Segment]:
+    """Merge steps too short to be evaluated on one side of a kink into the step before them.
 
-    The last steps of a method that closes in on a kink are not; they are merged into the step
-    before.
+    A method that closes in on a kink makes such steps.
     """
     kept: list[Segment] = []
     for segment in segments:
@@ -243,7 +251,7 @@ def told(segments: Sequence[Segment]) -> list[Segment]:
 
 
 def pieces(kinks: MatrixFunction | None, t: float, segment: Segment) -> list[ArcPiece]:
-    """A step, cut where a formula of the flow changes inside it."""
+    """Cut a step where a formula of the flow changes inside it; None as ``kinks`` cuts nowhere."""
     if kinks is None:
         return [ArcPiece(t, segment, segment.start, segment.length)]
     known = kinks
@@ -274,7 +282,7 @@ def _zero(values: Callable[[float], np.ndarray], k: int, a: float, b: float) -> 
 
 
 def middle(field: Flowing, t: float, segment: Segment) -> np.ndarray:
-    """The absolute value of the flow in the middle of a step."""
+    """The absolute value of the flow in the middle of a step, element by element."""
     tau = segment.start + 0.5 * segment.length
     return np.abs(field.rhs(t + tau, segment(tau).tolist()))
 
@@ -282,7 +290,8 @@ def middle(field: Flowing, t: float, segment: Segment) -> np.ndarray:
 def bend(
     kinks: MatrixFunction, field: Flowing, before: ArcPiece, after: ArcPiece, largest: np.ndarray
 ) -> np.ndarray | None:
-    """The saltation matrix between two pieces of an arc; None if the flow does not jump."""
+    """The saltation matrix between two pieces of an arc, shape ``(n, n + q)``; None if the flow
+    does not jump there. ``largest`` is the size of the flow along the arc."""
     there, here = before.flow(field, True), after.flow(field, False)
     jump = here[0] - there[0]
     if np.all(np.abs(jump) <= SAME_FLOW * np.maximum(largest, np.maximum(there[1], here[1]))):
@@ -292,12 +301,12 @@ def bend(
 
 
 def passing(kinks: MatrixFunction, piece: ArcPiece, flow: np.ndarray) -> np.ndarray:
-    """The derivative, by state and parameters, of the time of the kink that ends a piece.
+    """The derivative of the time of the kink that ends a piece, by state and parameters.
 
     Raises
     ------
     OrbitError
-        If there is no kink there, or several that neighbours pass at different times.
+        If there is no kink there, or several that neighbouring runs pass at different times.
     """
     t, found = piece.t + piece.end, kinks(piece.t + piece.end, piece.segment(piece.end))
     slopes, state = found[:, 2 : 2 + len(flow)], piece.segment(piece.end)

@@ -36,7 +36,9 @@ WINDOW_SPACINGS = 64.0
 
 @attrs.frozen(eq=False)
 class At:
-    """The variation of a moment: its time, the states on its sides, a limit's ratio."""
+    """The variation of a jump or a limit, as linear functions of the ``m`` numbers of a
+    :class:`Carried`: time, states before and after, and, for a limit, the ratio of its series.
+    ``part`` is the index of the part of the run that it ends."""
 
     part: int
     time: Numbers
@@ -46,7 +48,7 @@ class At:
 
 
 class Carried:
-    """The variation of the state at equal times, as a linear function of ``m`` numbers.
+    """The variation of the state, compared at equal times, as a linear function of ``m`` numbers.
 
     Attributes
     ----------
@@ -56,7 +58,8 @@ class Carried:
     past : PastVariation or None
         Variation of the record; required before the start for a model with delays.
     none : array of bool, shape (n, m)
-        Where there is no derivative any more, until a reset or a rest forgets what has none.
+        Entries of ``state`` that have no derivative. A reset or a rest that does not depend on
+        them ends this.
     last : At or None
         The last moment passed.
     limits : int
@@ -79,41 +82,41 @@ class Carried:
         self.walk.arrival = past.arrives
 
     def moments(self) -> Iterator[At]:
-        """Carry the perturbation along the run; yields the moments on the way."""
+        """Carry the perturbation along the run; yields each jump and limit on the way."""
         for piece in self.walk.pieces():
             yield from self.through(piece)
 
     def final(self) -> Matrix:
-        """The variation of the state at the end of the run; NaN where there is none."""
+        """The variation of the final state, shape ``(n, m)``; NaN where there is no derivative."""
         past, none, place = self.past, self.none, len(self.walk.course.parts) - 1
         part, piece = self.walk.course.parts[place], self.walk.piece(place, True)
         if past is not None and piece is not None and past.arrives(place, part.t1):
             assert isinstance(part, Arc)
-            if past.turned(place, part, piece).any():  # it may come before or after the end
+            if past.turned(place, part, piece).any():  # the jump may come before or after the end
                 none = none | (past.arrival(place, part, piece, self.state) != 0.0)
                 none[:, -1] = True
         return self.state * np.where(none, np.nan, 1.0)
 
     def through(self, piece: Factor | DelayedArc | Chatter) -> Iterator[At]:
-        """Carry the perturbation through a piece of the run; yields the moments at its end."""
+        """Carry the perturbation through a piece; yields the jumps or the limit at its end."""
         if isinstance(piece, DelayedArc):
             assert self.past is not None
-            self._touch(piece.arc.t1)
+            self._pass_tangencies(piece.arc.t1)
             self.state = self.past.along(piece.index, piece.arc, self.state)
         elif isinstance(piece, Chatter):
             yield from self._to_limit(piece)
         else:
-            self._touch(piece.t)
+            self._pass_tangencies(piece.t)
             yield from self._applied(piece, self._change(piece))
 
-    def _touch(self, t: float) -> None:
-        """After a tangency, neighbours take another course."""
+    def _pass_tangencies(self, t: float) -> None:
+        """Drop the derivatives at a tangency up to ``t``: neighbours jump there, or do not."""
         while self.touched and self.touched[0] <= t:
             self.none[:, :-1] = True
             self.touched.pop(0)
 
     def _change(self, factor: Factor) -> Matrix:
-        """The perturbation to which a factor is applied."""
+        """The perturbation to which a factor is applied: state, delayed states, parameters."""
         if self.past is None:
             return np.vstack([self.state, self.given])
         index, ends = factor.part, bool(factor.moments)
@@ -122,7 +125,7 @@ class Carried:
         return np.vstack([change, self._arrival(factor, t)])
 
     def _arrival(self, factor: Factor, t: float) -> Matrix:
-        """The variation of the time at which a jump of the past is seen, as a row."""
+        """The variation, as a row, of the time at which a delayed term jumps; else zeros."""
         index, past, part = factor.part, self.past, self.walk.course.parts[factor.part]
         nothing = np.zeros((1, self.state.shape[1]))
         if past is None or not factor.moments or not past.arrives(index, t):
@@ -137,36 +140,36 @@ class Carried:
         return past.arrival(index, part, piece, self.state)[None]
 
     def _applied(self, factor: Factor, change: Matrix) -> Iterator[At]:
-        apart = self._apart(factor, change)
+        broken = self._broken_ties(factor, change)
         self.state = factor.matrix @ change
         for number, moment in enumerate(factor.moments):
-            none = self.none | (apart if number else False)
-            tell = partial(self._told, none=none, change=change)
-            ratio = None if moment.ratio is None else tell(moment.ratio)
-            sides = tell(moment.before), tell(moment.after)
-            self.last = At(moment.part, tell(moment.time), *sides, ratio)
+            none = self.none | (broken if number else False)
+            apply = partial(self._variation, none=none, change=change)
+            ratio = None if moment.ratio is None else apply(moment.ratio)
+            sides = apply(moment.before), apply(moment.after)
+            self.last = At(moment.part, apply(moment.time), *sides, ratio)
             self.limits += moment.ratio is not None
             yield self.last
-        self.none = self._takes(factor.matrix, self.none) | apart
+        self.none = self._undefined(factor.matrix, self.none) | broken
         if factor.edge is not None:
             self.saltations.append(factor)
         if self.past is not None and factor.moments:
             self._remembered(self.past, factor, change)
 
-    def _told(self, function: np.ndarray, none: Mask, change: Matrix) -> np.ndarray:
-        """A linear function of the perturbation; NaN where that has no derivative."""
-        return np.where(self._takes(function, none), np.nan, function @ change)
+    def _variation(self, function: np.ndarray, none: Mask, change: Matrix) -> np.ndarray:
+        """A linear function of the perturbation; NaN where it has no derivative."""
+        return np.where(self._undefined(function, none), np.nan, function @ change)
 
-    def _takes(self, function: np.ndarray, none: Mask) -> Mask:
-        """Where a linear function of the perturbation takes in what has no derivative. A past
-        remembers all of it."""
+    def _undefined(self, function: np.ndarray, none: Mask) -> Mask:
+        """Where a linear function of the perturbation depends on an element without derivative.
+        With delays, every element enters by way of the record."""
         if self.past is not None:
             return np.broadcast_to(none.any(axis=0), (*function.shape[:-1], none.shape[1]))
         found: np.ndarray = (function[..., : len(none)] != 0.0) @ none
         return found
 
-    def _apart(self, factor: Factor, change: Matrix) -> Mask:
-        """The numbers whose perturbation changes the course at simultaneous jumps."""
+    def _broken_ties(self, factor: Factor, change: Matrix) -> Mask:
+        """Which of the ``m`` numbers change the order of simultaneous events."""
         if factor.ties is None or not len(factor.ties):
             return np.zeros(change.shape[1], dtype=bool)
         moved, sizes = factor.ties @ change, np.abs(factor.ties) @ np.abs(change)
@@ -174,6 +177,7 @@ class Carried:
         return found
 
     def _remembered(self, past: PastVariation, factor: Factor, change: Matrix) -> None:
+        """Add the jumps of a factor to the variation of the record."""
         first, last = factor.moments[0], factor.moments[-1]
         if first.ratio is not None:
             x = self.walk.course.parts[first.part].last
@@ -186,7 +190,7 @@ class Carried:
     # -- accumulations in a model with delays -----------------------------------------------
 
     def _to_limit(self, chatter: Chatter) -> Iterator[At]:
-        """Carry the perturbation through an accumulation; the windows of the past vary as well."""
+        """Carry the perturbation through an accumulation, with that of the delayed terms."""
         past, part, tail = self.past, chatter.part, chatter.part.tail
         assert past is not None
         windows, rows = self._windows(past, chatter)
@@ -213,7 +217,8 @@ class Carried:
     def _windows(
         self, past: PastVariation, chatter: Chatter
     ) -> tuple[list[np.ndarray], np.ndarray]:
-        """Windows on what each lag sees up to a limit, and the variation of their numbers."""
+        """Windows on the record that each lag sees up to a limit, and the variation of their
+        coefficients, one row for each."""
         part, sight = chatter.part, past.sight
         shapes, shown = sight.scene.code.shapes, part.tail.field.parameters
         own = len(shapes) - len(sight.scene.spec.windows)
@@ -239,11 +244,12 @@ class Carried:
     def _require_same(
         self, past: PastVariation, limit: np.ndarray, t: float, x: np.ndarray
     ) -> None:
-        """Refuse impacts whose restarted past differs from the limit, also in the first variation.
+        """Check that with restarts the state after each impact varies as the limit does.
 
         Raises
         ------
         OrbitError
+            If it does not: the flights then see pasts whose variation is not known.
         """
         seen = sorted({e for each in past.sight.scene.code.seen for e in each})
         sizes = np.abs(past.fresh).max(axis=0) + np.abs(limit).max(axis=0)
@@ -255,7 +261,7 @@ class Carried:
             )
 
     def _flights(self, past: PastVariation, chatter: Chatter) -> None:
-        """Record the variation along the flights up to a limit, one by one."""
+        """Record the variation along the flights that precede a limit, one by one."""
         part, walk, before = chatter.part, self.walk, (self.saltations, self.none)
         seen = {e for each in past.sight.scene.code.seen for e in each}
         jump = part.jump(1) if part.tail.count else None

@@ -2,7 +2,7 @@
 
 They are nodes of the mode's own graph (:mod:`hybrid.lowering.derivatives`), made once per class and
 evaluated like any other program. The columns are time, then the elements of the state; with delays,
-then what each lag shows of these; then, on request, the elements of the parameters.
+then the elements of the delayed state of each lag; then, on request, those of the parameters.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ class Derivatives:
     Attributes
     ----------
     size, count : int
-            Number of state elements, and of parameter elements if these have columns; with
-        ``windows``, the numbers of the windows of the past are among the latter.
+        Number of state elements, and of parameter elements if these have columns; with
+        ``windows``, the coefficients of the windows on the past count as parameters.
     units : array, shape (count,)
         Absolute values of the parameters; 1 for a zero.
     """
@@ -81,7 +81,7 @@ class Derivatives:
         return self.matrix(self.of_guard(guard, field))
 
     def of_guard(self, guard: Guard, field: Field) -> Rows:
-        """The derivatives of a guard, as rows."""
+        """The derivatives of a guard, as a row."""
         key = "guard", guard.edge, field.name
         return self._slopes(key, field.mode, field.held, lambda g: [_node(g, guard)])
 
@@ -98,10 +98,10 @@ class Derivatives:
         return self.matrix(self._slopes(("lag", number, field.mode), field.mode, (), nodes))
 
     def series(self, field: Field, gap: Guard | None = None) -> Series | None:
-        """Power series of :meth:`flow`, without the time column, and of the flow itself.
+        """Power series of the flow and of its derivatives, without the time column.
 
-        None if there are none. A gap, if given, is an extra coordinate after the state, on which
-        nothing depends.
+        None if there is no power series. A gap, if given, is an extra coordinate after the state,
+        on which nothing depends.
         """
         key = field.name, gap and gap.edge
         if key not in self._series:
@@ -164,7 +164,8 @@ class Derivatives:
     def kinks(
         self, key: Any, field: Field, roots: Callable[[ModeGraph], list[int]]
     ) -> MatrixFunction:
-        """``(t, x) -> (k, 1 + columns)``: deciding functions, and their derivatives."""
+        """``(t, x) -> (k, 1 + columns)``: value and derivatives of each function whose sign decides
+        on a formula in ``roots``."""
 
         def rows(graph: ModeGraph) -> list[int]:
             inputs, found = self._inputs(graph), deciding(graph.graph, roots(graph))
@@ -174,7 +175,7 @@ class Derivatives:
         return self.matrix(Rows(key, field.mode, field.held, rows, 1 + self.columns))
 
     def of_watched(self, field: Field) -> Rows:
-        """The derivatives of a field's watched functions as rows; 0 if no formula changes."""
+        """The derivatives of a field's watched functions as rows; 0 where no formula changes."""
         assert field.jets is not None
         watched = field.jets.tape.watched
         own = [what.node for what in watched if what.switches]
@@ -189,8 +190,8 @@ class Derivatives:
         return Rows(key, field.mode, field.held, rows, self.columns)
 
     def project(self, field: Field) -> MatrixFunction:
-        """``(t, x) -> (n, columns)``: of the way back onto the contacts held, or the surface, at
-        a state that is there."""
+        """``(t, x) -> (n, columns)``: derivatives of the projection onto the held contacts, or the
+        sliding surface, at a state on it."""
         switching = self.scene.spec.sliding(field.mode)
         if switching is not None:
             return self.matrix(self.of_surface(field.mode, switching.name))
@@ -205,7 +206,7 @@ class Derivatives:
         return lambda t, x: after(second(t, x), first(t, x))
 
     def of_surface(self, mode: str, switching: str) -> Rows:
-        """Of the way back onto the surface on which a mode slides."""
+        """The derivatives of the projection onto the surface on which a mode slides, as rows."""
         onto = lambda g: g.values(self.scene.code.onto_closed(switching))  # noqa: E731
         return self._slopes(("onto", mode), mode, (), onto)
 
@@ -230,7 +231,7 @@ class Derivatives:
         key = "onto", field.name
         return Rows(key, field.mode, field.held, rows, self.columns + size)
 
-    # -- how they are made ----------------------------------------------------------------
+    # -- programs -------------------------------------------------------------------------
 
     def _slopes(
         self,
@@ -248,7 +249,7 @@ class Derivatives:
         return Rows(("slopes", *key), mode, held, rows, self.columns)
 
     def matrix(self, rows: Rows) -> MatrixFunction:
-        """Rows as scalar code."""
+        """A function ``(t, x) -> matrix`` that evaluates rows, as scalar code."""
         if rows.key not in self._made:
             graph = self.scene.code.mode(rows.mode)
             program = graph.program((*rows.key, self.count), lambda: rows.nodes(graph))
@@ -258,7 +259,7 @@ class Derivatives:
         return self._made[rows.key]
 
     def values(self, rows: Rows) -> Jets:
-        """Rows concatenated, as a program for values.
+        """A program on a tape that evaluates rows, one after the other.
 
         Raises
         ------
@@ -270,7 +271,7 @@ class Derivatives:
         return tape.bind(self.scene.numbers(rows.mode, tuple(rows.held)))
 
     def _inputs(self, graph: ModeGraph) -> list[int]:
-        """The nodes of the columns; a window's constant terms stand for the states it shows."""
+        """The node of each column; for a delayed state, that of its window's constant term."""
         shapes, windows = self.scene.code.shapes, len(self.scene.spec.windows)
         own = len(shapes) - windows
         shown = [graph.inputs[place][0] for place in range(own + 1, len(shapes), 2)]
@@ -280,8 +281,8 @@ class Derivatives:
 
 
 def after(later: np.ndarray, earlier: np.ndarray) -> np.ndarray:
-    """The derivatives of a composition at one time; both have columns for time, state, and others,
-    shape ``(n, columns)``."""
+    """The derivatives of ``earlier`` followed by ``later`` at the same time, all of shape
+    ``(n, columns)``: time, state, and others."""
     end = 1 + len(later)
     found: np.ndarray = later[:, 1:end] @ earlier
     found[:, 0] += later[:, 0]
@@ -290,5 +291,5 @@ def after(later: np.ndarray, earlier: np.ndarray) -> np.ndarray:
 
 
 def _node(graph: ModeGraph, guard: Guard) -> int:
-    """The node of a guard; of a gap with the formula that holds where it is zero."""
+    """The node of a guard; for a gap, the formula that holds where the gap is zero."""
     return graph.contact(guard.edge).gap if guard.kind is Kind.CONTACT else graph.guard(guard.edge)

@@ -1,4 +1,4 @@
-"""How much a frame of perturbations grows along a run."""
+"""Growth of an orthonormal frame of perturbations along a run, for Lyapunov exponents."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from .walk import Factor
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, StateVector
 
-#: Relative growth of a direction, compared with the largest of the same piece, that counts as
-#: rounding: some 50 roundings. Pieces are so short that directions grow apart by less than a
-#: ratio whose logarithm this is, which leaves eight digits of each.
+#: Growth of a direction relative to the largest entry of the same piece's matrix below which it
+#: counts as rounding (some 50 roundings). And the largest logarithm of the ratio of growths within
+#: a piece: longer pieces are divided, so that each direction keeps eight digits.
 LOST_GROWTH, GROWN_APART = 1e-14, 18.0
 
-#: The share of a run at its beginning that is a transient, unless one is given.
+#: Fraction of a run that is left out as a transient, unless a transient is given.
 TRANSIENT = 0.1
 
 
 def first_frame(size: int, count: int) -> Matrix:
-    """Directions drawn at random, the same each time, orthonormal."""
+    """Orthonormal random directions, shape ``(size, count)``; the same at every call."""
     frame: Matrix = np.linalg.qr(np.random.default_rng(0).normal(size=(size, count)))[0]
     return frame
 
 
 def largest(parts: Sequence[Part]) -> StateVector:
-    """The largest absolute value of each element along a run, at ends and middles of steps."""
+    """The largest absolute value of each state element at ends of parts and middles of steps."""
     ends = [part.last for part in parts]
     arcs = (part for part in parts if isinstance(part, Arc))
     inside = [s(s.start + 0.5 * s.length) for arc in arcs for s in arc.segments]
@@ -41,13 +41,24 @@ def largest(parts: Sequence[Part]) -> StateVector:
 def grown(
     model: str, pieces: Iterable[Factor], frame: Matrix, sizes: StateVector
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """End times of the pieces of a run, logarithms of the frame's growth, and the final frame. It
-    is measured in the sizes of the states, so that their units do not matter.
+    """Carry a frame along a run, orthonormalising it after each piece.
+
+    Parameters
+    ----------
+    model : str
+        Name of the model, for messages.
+    frame : array, shape (n, k)
+        Orthonormal directions, in states divided by ``sizes``: units then do not matter.
+
+    Returns
+    -------
+    times, growth, frame : array, shapes (pieces,), (pieces, k) and (n, k)
+        End times of the pieces, logarithms of the growth of each direction, and the final frame.
 
     Raises
     ------
     OrbitError
-        If a direction that the flow does not lose is lost to rounding.
+        If along a smooth piece a direction shrinks below rounding relative to another.
     """
     times, growth, units = [], [], np.where(sizes == 0.0, 1.0, sizes)
     for factor in pieces:

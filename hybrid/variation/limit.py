@@ -15,14 +15,14 @@ from .slopes import SlopeTables
 
 
 class LimitVariation(NamedTuple):
-    """Maps a perturbation of the state after a tail's first impact to the limit.
+    """Derivatives of a limit of impacts by the state after the first impact of the tail.
 
-    The last columns belong to the parameters, or to directions of them.
+    The last ``q`` columns belong to the parameters, or to directions of them.
 
     Attributes
     ----------
     matrix : array, shape (n, n + q)
-            Variation of the state at equal times. It has lost two ranks: gap and gap speed are zero
+        Variation of the state at equal times. Its rank is ``n - 2``: gap and gap speed are zero
         at rest.
     time, state, ratio : array, shapes (n + q,), (n, n + q) and (n + q,)
         Variation of the time of the limit, of the state there, and of the ratio of the series.
@@ -35,7 +35,7 @@ class LimitVariation(NamedTuple):
 
 
 def through(of: Derivatives, tail: Tail, directions: np.ndarray | None = None) -> LimitVariation:
-    """The first variation through an accumulation.
+    """The first variation through an accumulation of impacts, from the tail's first impact.
 
     Parameters
     ----------

@@ -4,11 +4,11 @@ A perturbation ``d`` of the record obeys, along an arc, ::
 
     d' = f_x d + f_p dp + sum of f_k d(t - lag_k)
 
-which is solved by collocation at Gauss points; delayed values come from its own earlier pieces.
-(The windows of a flow are functions of time and of their lag, so ``f_x`` and ``f_p`` contain ``-f_k
-x'(t - lag_k)`` times the variation of the lag.) If a jump of the record comes later by ``s``, it is
-seen later by ``s`` plus the growth of its lag. Where the flow jumps there from ``f-`` to ``f+``,
-the perturbation becomes ``d + (f- - f+) ds``.
+which is solved by collocation at Gauss points; delayed values come from earlier pieces of ``d``.
+(The delayed state depends on the lag, so ``f_x`` and ``f_p`` contain ``-f_k x'(t - lag_k)`` times
+the variation of the lag.) If a jump of the record comes later by ``s``, the delayed term jumps
+later by ``ds = s`` plus the growth of its lag. If the flow then jumps from ``f-`` to ``f+``, the
+perturbation becomes ``d + (f- - f+) ds``.
 
 With ``memory="restart"`` a flow sees only the state after the last jump and what follows. See
 ``docs/notes/gradients.md``.
@@ -31,7 +31,7 @@ from ..errors import OrbitError
 from ..rules.limits import KINK_SIDE, SAME_FLOW
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc
-from .arcs import COLLOCATION_TOLERANCE, ArcPiece, bend, middle, pieces, told
+from .arcs import COLLOCATION_TOLERANCE, ArcPiece, bend, middle, pieces, resolvable
 from .derivatives import MatrixFunction
 from .walk import Walk
 
@@ -47,14 +47,15 @@ DELAYED_HALVINGS = 6
 #: Number of lags through which breaking points are followed.
 GENERATIONS = 6
 
-#: Relative distance below which times are equal, and the same for lags that depend on time or
-#: state.
+#: Relative difference below which times are equal; the second one applies to lags that depend on
+#: time or state.
 SAME_TIME, SAME_MOVING_TIME = 1e-13, 1e-11
 
 
 @attrs.frozen(eq=False)
 class Strand:
-    """A perturbation as values at Chebyshev points, shape ``(degree + 1, n, m)``."""
+    """A perturbation from time ``a`` to ``b``: values at Chebyshev points, shape
+    ``(degree + 1, n, m)``. A call returns it at given times, shape ``(k, n, m)``."""
 
     a: float
     b: float
@@ -69,7 +70,7 @@ class Strand:
 
 @attrs.frozen(eq=False)
 class Shift:
-    """A jump of the record from ``before`` to ``after``, and the variation of its time."""
+    """A jump of the record; ``row``, of shape (m,), is the variation of its time ``t``."""
 
     t: float
     before: Numbers
@@ -77,12 +78,12 @@ class Shift:
     row: Numbers
 
     def shows(self, elements: Iterable[int]) -> bool:
-        """Whether any of some elements jumps."""
+        """Whether any of the given elements jumps."""
         return any(self.before[e] != self.after[e] for e in elements)
 
 
 def descendants(times: Iterable[float], lags: Sequence[float], last: float) -> list[float]:
-    """Breaking points up to ``last``: the given times, and those that follow through the lags."""
+    """Breaking points until ``last``: given times, and their sums with 1 to 6 lags."""
     found = now = set(times)
     for _ in range(GENERATIONS):
         now = {t + lag for t in now for lag in lags if lag > 0 and t + lag <= last}
@@ -155,10 +156,11 @@ class PastVariation:
             self.shifts.append(shift)
         self.broken([shift.t])
 
-    # -- what is seen -----------------------------------------------------------------------
+    # -- delayed terms ----------------------------------------------------------------------
 
     def at(self, times: Numbers, near: Numbers) -> Matrices:
-        """The perturbation at some times, shape ``(k, n, m)``, from the strands at ``near``."""
+        """The perturbation at some times, shape ``(k, n, m)``; each from the strand that covers the
+        corresponding time in ``near``, which selects a side at a jump."""
         found = np.empty((len(times), *self.fresh.shape))
         which = np.array([min(bisect_left(self._ends, t), len(self._ends) - 1) for t in near])
         for place in np.unique(which).tolist():
@@ -166,12 +168,13 @@ class PastVariation:
         return found
 
     def within(self, times: Numbers, low: float, high: float) -> Matrices:
-        """The perturbation on the smooth piece between two times."""
+        """The perturbation at ``times``, from the strands between ``low`` and ``high`` only."""
         room = KINK_SIDE * max(high - low, 0.0)
         return self.at(times, np.clip(times, low + room, high - room))
 
     def shown(self, index: int, t: float, near: float, now: Matrix) -> Matrix:
-        """The stacked perturbations that each lag shows at ``t``, on the side of ``near``."""
+        """The perturbations of the delayed states of all lags at ``t``, stacked; at a jump, on the
+        side of the nearby time ``near``."""
         pairs = zip(self.sight.places(index, t), self.sight.places(index, near), strict=True)
         return np.vstack(
             [
@@ -181,13 +184,13 @@ class PastVariation:
         )
 
     def changed(self, index: int, t: float, near: float, now: Matrix) -> Matrix:
-        """The stacked perturbations of the state, of what is seen, and of the parameters."""
+        """The perturbations of the state, of the delayed states and of the parameters, stacked."""
         return np.vstack([now, self.shown(index, t, near, now), self.given])
 
-    # -- jumps that are seen ----------------------------------------------------------------
+    # -- jumps of delayed terms -------------------------------------------------------------
 
     def seen(self, index: int, t: float) -> Iterator[tuple[int, Shift]]:
-        """The jumps of the record that are seen at a time, each with the number of its lag."""
+        """The jumps of the record that a lag meets at time ``t``, each with the lag's number."""
         code = self.sight.scene.code
         for k, place in enumerate(self.sight.places(index, t)):
             room = (SAME_MOVING_TIME if code.moving[k] else SAME_TIME) * max(1.0, abs(t))
@@ -196,16 +199,16 @@ class PastVariation:
                     yield k, shift
 
     def arrives(self, index: int, t: float) -> bool:
-        """Whether a jump of the record is seen at a time."""
+        """Whether a lag meets a jump of the record at time ``t``."""
         return next(self.seen(index, t), None) is not None
 
     def arrival(self, index: int, arc: Arc, piece: ArcPiece, now: Matrix) -> Numbers:
-        """The variation of the time at which a jump is seen at the end of a piece.
+        """The variation, shape (m,), of the time at which a lag meets a jump at a piece's end.
 
         Raises
         ------
         OrbitError
-            If several jumps are seen, at times that differ for neighbours.
+            If lags meet several jumps there, and neighbouring runs meet them at different times.
         """
         t, near = piece.t + piece.end, piece.t + piece.inside(True)
         scene, of = self.walk.look(index, near)
@@ -225,7 +228,8 @@ class PastVariation:
         return rows[0]
 
     def turned(self, index: int, arc: Arc, piece: ArcPiece) -> Numbers:
-        """``f- - f+`` where a jump is seen at the end of a piece; 0 at rounding level."""
+        """The jump ``f- - f+`` of the flow at the end of a piece where a lag meets a jump of the
+        record; zeros if it is at rounding level."""
         t, x = piece.t + piece.end, piece.segment(piece.end).tolist()
         before, after = (
             np.array(self.walk.look(index, t + s)[0].field(arc.mode).rhs(t, x))
@@ -238,7 +242,7 @@ class PastVariation:
     # -- along an arc -----------------------------------------------------------------------
 
     def along(self, index: int, arc: Arc, now: Matrix) -> Matrix:
-        """Carry a perturbation along an arc, without jumps that are seen at its end."""
+        """Carry a perturbation along an arc, up to a jump of a delayed term at its end."""
         field, last = _Seeing(self.walk, index, arc), None
         kinks = field.kinks if field.changes else None
         largest = np.zeros(self.size)
@@ -257,7 +261,7 @@ class PastVariation:
         """The steps of an arc, cut at breaking points and where a formula of the flow changes."""
         t = arc.t0 + arc.low
         stops = [*self.breaks, *(shift.t + g for shift in self.shifts for g in self.sight.lags)]
-        for segment in arc.segments if kinks is None else told(arc.segments):
+        for segment in arc.segments if kinks is None else resolvable(arc.segments):
             for piece in pieces(kinks, t, segment):
                 room = SAME_TIME * max(1.0, abs(t + piece.end))
                 inner = [s - t for s in stops if piece.start + room < s - t < piece.end - room]
@@ -274,7 +278,7 @@ class PastVariation:
         largest: Numbers,
         now: Matrix,
     ) -> Matrix:
-        """The perturbation after the event between two pieces of an arc."""
+        """The perturbation after the jump of a delayed term, or the kink, between two pieces."""
         t = before.t + before.end
         if self.arrives(index, t):
             fall = self.turned(index, arc, before)
@@ -331,8 +335,8 @@ class PastVariation:
 
 @cache
 def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Interior Gauss points; the matrix from values at Chebyshev points to values at these; and the
-    matrix from those to integrals at the Chebyshev points."""
+    """Gauss points on [0, 1]; the matrix from values at Chebyshev points to values at Gauss points;
+    and the matrix from values at Gauss points to integrals up to the Chebyshev points."""
     points = 0.5 + 0.5 * leggauss(COLLOCATION_DEGREE)[0]
     places = 2.0 * points - 1.0
     inner = chebyshev.chebvander(places, COLLOCATION_DEGREE) @ from_values(COLLOCATION_DEGREE)
@@ -344,7 +348,7 @@ def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 class _Seeing:
-    """The flow of an arc, with the view of the past that it had at each time."""
+    """The flow of an arc, with the delayed terms that it had at each time."""
 
     def __init__(self, walk: Walk, index: int, arc: Arc) -> None:
         self.walk, self.index, self.arc = walk, index, arc
@@ -355,6 +359,6 @@ class _Seeing:
         return self.walk.look(self.index, t)[0].field(self.arc.mode).rhs(t, x)
 
     def kinks(self, t: float, x: np.ndarray) -> np.ndarray:
-        """Its deciding functions, and their derivatives."""
+        """Value and derivatives of each deciding function of the flow."""
         of, field = self.walk.look(self.index, t)[1], self.walk.scene.field(self.arc.mode)
         return of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))(t, x)

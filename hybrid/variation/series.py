@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def room_for(
     needs: Sequence[int], read: int, states: int, columns: int, along: int = 0, points: int = 0
 ) -> Changes:
-    """Work arrays.
+    """Work arrays for carrying perturbations along arcs and through limits of impacts.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def room_for(
     columns, along : int
         Number of columns for time, states and parameters; number of parameter directions, if any.
     points : int
-        Number of points of the limits of impacts.
+        Number of points at which the limit of impacts is collocated; 0 if there are no limits.
     """
     rows, kinks, beside = needs
     own, wide = 1 + states, max(columns, 1 + states + along)
@@ -79,9 +79,9 @@ class Series:
     Attributes
     ----------
     jets : Jets
-        Its functions are the derivatives that are not identically zero.
+        The program; its functions are the derivatives that are not identically zero.
     places : array of int, shape (k, 2)
-        Row and column of each.
+        Row and column of each of these derivatives.
     shape : (int, int)
         Rows and columns of all derivatives; the parameters' columns follow those of the state.
     """
@@ -97,7 +97,7 @@ class Series:
         return room_for(self.jets.tape.needs, len(self.places), rows, 1 + columns)
 
     def carried(self, piece: ArcPiece) -> Matrix | None:
-        """The matrix of a piece without formula changes; None if there are no series."""
+        """The matrix of a piece without a kink inside; None if the series do not reach its end."""
         found, inside, start = np.empty(self.shape), piece.start, piece.first
         beside = start.copy()
         if len(self._room.sides):

@@ -17,11 +17,11 @@ from ..rules.variation import GRADIENT, KINKED, RESET_SLOPES, REST_ROW
 from .derivatives import Derivatives, Rows
 from .series import POINTS, room_for
 
-#: Number of runs after which programs are compiled; carrying perturbations along that many takes as
-#: long as compiling, 0.3 s.
+#: Number of runs after which programs are compiled: carrying perturbations along so many runs takes
+#: as long as compiling, 0.3 s.
 HOT_RUNS = 1000
 
-#: Kinds of guards whose jumps the rules carry changes through.
+#: Kinds of guards through whose jumps the rules carry perturbations.
 CARRIED = (Kind.EDGE, Kind.CONTACT, Kind.RELEASE, Kind.SWITCH, Kind.LEAVE, Kind.CLOCK)
 
 
@@ -70,12 +70,12 @@ class SlopeTables:
         return [np.zeros(0, dtype=np.int64)] * 2
 
     def room(self, directions: int = 0) -> Changes:
-        """Work arrays."""
+        """Work arrays, for so many directions in parameter space."""
         sizes = self.of.size, self.of.columns, directions, POINTS
         return room_for(self.needs, self._read, *sizes)
 
     def field(self, field: Field) -> int:
-        """The row of a field, which is added if new."""
+        """The number of a field's row, which is added if new."""
         if field.name not in self._fields:
             row = [*self._along(field, None), *self._onto(field), *[NONE] * (REST_ROW - 4)]
             if field.changes:
@@ -86,7 +86,7 @@ class SlopeTables:
         return self._fields[field.name]
 
     def guard(self, field: Field, guard: Guard) -> int:
-        """Add the row of a guard that fires."""
+        """Add the row of a guard that fires; returns its number."""
         if guard.kind is Kind.CONTACT:
             return self.contact(field, guard)
         return self._add(
@@ -94,7 +94,7 @@ class SlopeTables:
         )
 
     def contact(self, field: Field, guard: Guard) -> int:
-        """Add the row of a contact whose impacts may be summed."""
+        """Add the row of a contact whose impacts may be summed; returns its number."""
         of, scene = self.of, self.of.scene
         rest = NONE
         if scene.contact(guard.edge).rests:
@@ -115,7 +115,7 @@ class SlopeTables:
         return [gradient, NONE if reset is None else self._values(reset)]
 
     def _along(self, field: Field, gap: Guard | None) -> list[int]:
-        """The program of a flow, and where its places begin and end."""
+        """The number of a flow's program, and the range of its rows in the table of places."""
         series = self.of.series(field, gap)
         if series is None:
             raise TraceError(f"mode {field.name}: its flow has no power series")
@@ -124,8 +124,8 @@ class SlopeTables:
         return [self._program(series.jets), first, self._count]
 
     def _onto(self, field: Field) -> list[int]:
-        """The program of the projection onto contacts held, and how many are; or of that onto the
-        surface on which the field slides."""
+        """The number of the program of the projection onto the held contacts, and the number of
+        these; or of the projection onto the sliding surface, and 0."""
         slides = self.of.scene.spec.sliding(field.mode)
         if slides is not None:
             return [self._values(self.of.of_surface(field.mode, slides.name)), 0]
@@ -142,7 +142,7 @@ class SlopeTables:
 
 
 class Owned(SlopeTables):
-    """The derivatives of an automaton's fields and guards, by number, as requested."""
+    """The derivatives of an automaton's fields and guards, made when the rules ask for them."""
 
     def __init__(self, of: Derivatives, automaton: Tables) -> None:
         super().__init__(of)
@@ -160,13 +160,13 @@ class Owned(SlopeTables):
             self._native.go_on(self.slopes.programs)
 
     def add_field(self, number: int) -> None:
-        """Add a field; one that has no series is left to Python."""
+        """Add the automaton's field of this number; without power series Python handles it."""
         self._of_fields[number] = HARD
         with suppress(TraceError):
             self._of_fields[number] = self.field(self.automaton.fields[number])
 
     def add_guard(self, number: int) -> None:
-        """Add a guard; if it may jump, Python handles it."""
+        """Add the automaton's guard of this number; if its value may jump, Python handles it."""
         guard, mode = self.automaton.guards[number], self.automaton.modes[number]
         self._of_guards[number] = HARD
         if guard.kind in CARRIED and not guard.jumps:

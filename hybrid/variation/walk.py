@@ -6,9 +6,10 @@ it is carried by the saltation matrix (all derivatives at the state before the j
 
     S = R_x + (f+ - R_x f- - R_t) g_x / (g_t + g_x f-)
 
-which accounts for the neighbour's jump being a little earlier or later. Both are taken at equal
-times. Perturbations of parameters are carried alongside. See ``docs/notes/orbits.md``; di Bernardo,
-Budd, Champneys & Kowalczyk, *Piecewise-smooth Dynamical Systems* (2008), sections 2.5 and 6.2.
+which accounts for the neighbouring run jumping a little earlier or later. The two runs are compared
+at equal times. Perturbations of parameters have further columns. See ``docs/notes/orbits.md``; di
+Bernardo, Budd, Champneys & Kowalczyk, *Piecewise-smooth Dynamical Systems* (2008), sections 2.5
+and 6.2.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from ..rules.limits import DIFFERENCE_ROUNDING
 from ..segment import Segment
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..trajectory.trajectory import Solution
-from .arcs import ArcPiece, along, passing, told
+from .arcs import ArcPiece, along, passing, resolvable
 from .derivatives import Derivatives
 from .derivatives import after as after_reset
 from .limit import LimitVariation, through
@@ -37,11 +38,11 @@ from .limit import LimitVariation, through
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
 
-#: A guard that fires further from its zero than this, against what it jumps by when a jump of the
-#: past is seen, has fired because of that.
+#: A guard whose delayed term jumps has fired because of this jump, if the guard's value before it
+#: exceeds this fraction of its jump.
 SEEN = 1e-6
 
-#: Why there is no first variation.
+#: Messages: why there is no first variation.
 CYCLE = (
     "the run passes the limit of a cycle of several edges; its first variation is known for one "
     "contact only"
@@ -51,19 +52,19 @@ TIES = (
     "first variation"
 )
 
-#: Kinds of jumps that change neither the state nor, at the jump, the flow, unless it then sees
-#: another past.
+#: Kinds of jumps at which state and flow are continuous, unless the jump erases the past.
 SMOOTH_KINDS = (Kind.RELEASE, Kind.LEAVE)
 
 
 def cleared(matrix: Matrix, sizes: np.ndarray, relative: float) -> Matrix:
-    """A matrix with entries at rounding level set to 0, so that a lost rank stays lost."""
+    """A matrix with entries at rounding level set to 0, so that a singular matrix stays so."""
     return np.where(np.abs(matrix) <= relative * sizes, 0.0, matrix)
 
 
 @attrs.frozen(eq=False)
 class Course:
-    """The course of a run: parts, jumps, and its view of the past (None without delays)."""
+    """The course of a run: its parts, its jumps by the index of the part that they end, and its
+    view of the past (a :class:`.Hindsight`; None without delays)."""
 
     scene: Scene
     parts: Sequence[Part]
@@ -91,10 +92,10 @@ class Moment:
     Attributes
     ----------
     part : int
-        The part of the run that it ends.
+        The part of the run that the jump or the limit ends.
     time : array, shape (m,)
     before, after : array, shape (n, m)
-        Variation of the states on its sides; for a limit both are that of the state at it.
+        Variation of the states before and after a jump; for a limit, both of the limit state.
     ratio : array, shape (m,), or None
         For a limit: variation of its ratio.
     """
@@ -108,29 +109,30 @@ class Moment:
 
 @attrs.frozen(eq=False)
 class Factor:
-    """A matrix by which a piece of a run carries a small perturbation of the state.
+    """The matrix by which one piece of a run maps a small perturbation of the state.
 
     Attributes
     ----------
     t : float
-        Time at its end.
+        Time at the end of the piece.
     edge : str or None
         For a jump, its edge; for an accumulation, the edges that accumulate; None along an arc.
     matrix : array, shape (n, n)
-            With parameters ``(n, n + q)``: their columns follow those of the state. With delays,
-        the columns for what each lag shows are between them, and the last column is for the time at
-        which a jump of the past is seen.
+        With parameters ``(n, n + q)``: their columns follow those of the state. With delays,
+        the columns of the delayed states are between them, and the last column belongs to the time
+        at which a delayed term jumps.
     moments : tuple of Moment
-        For a jump, simultaneous jumps, or a limit.
+        One for a jump or a limit, several for simultaneous jumps; empty along an arc.
     ties : array, shape (k, n + q)
-            Linear functions of the perturbation that must be zero; otherwise neighbours take
-        another course.
+        Linear functions of the perturbation that must be zero; otherwise neighbouring runs pass
+        simultaneous events in another order.
     waits : bool
-        Whether the jump occurs because a jump of the past is seen.
+        Whether the guard fires because a delayed term of it jumps.
     part : int
-        The part of the run that it ends, if it has moments; otherwise the one it begins.
+        Index of the part of the run that the piece ends, if it has moments; otherwise of the part
+        that it begins.
     smooth : bool
-        Whether it belongs to a piece of an arc, along which no direction is lost.
+        Whether the piece is part of an arc, so that its matrix is nonsingular.
     """
 
     t: float
@@ -145,7 +147,7 @@ class Factor:
 
 @attrs.frozen(eq=False)
 class DelayedArc:
-    """An arc of a run with delays, along which the delayed terms vary too."""
+    """An arc of a run with delays: its variation depends on that of the record."""
 
     index: int
     arc: Arc
@@ -179,8 +181,9 @@ def factors(model: Any, run: Solution, apart: float = np.inf) -> Iterator[Factor
     Raises
     ------
     OrbitError
-            If the run passes the limit of a cycle of several edges, for which no derivative is
-        known; if neighbours of the run take another course; and for a model with delays.
+        If the run passes the limit of a cycle of several edges, for which no derivative is
+        known; if neighbouring runs pass simultaneous events in another order; and for a model with
+        delays.
     """
     if run.spec.lags:
         raise OrbitError(
@@ -193,12 +196,7 @@ def factors(model: Any, run: Solution, apart: float = np.inf) -> Iterator[Factor
 
 
 def factors_of(course: Course, apart: float = np.inf) -> Iterator[Factor]:
-    """The first variation along the course of a run without delays, as :func:`factors`.
-
-    Raises
-    ------
-    OrbitError
-    """
+    """The first variation along the course of a run without delays: see :func:`factors`."""
     for factor in Walk(course, apart=apart).pieces():
         assert isinstance(factor, Factor)
         if factor.ties is not None and np.any(factor.ties):
@@ -217,7 +215,7 @@ Look = tuple[Scene, Derivatives]
 
 
 class Walk:
-    """A walk over the parts of a run, with columns for the parameters on request."""
+    """The first variation along a course; with columns for the parameters, if ``parameters``."""
 
     def __init__(self, course: Course, parameters: bool = False, apart: float = np.inf) -> None:
         self.course, self.scene, self.parameters = course, course.scene, parameters
@@ -226,7 +224,7 @@ class Walk:
         self.size, self.model = self.of.size, course.scene.spec.model
         self._known: dict[int, Look] = {}
         self._since, self._there = np.inf, course.scene
-        #: Whether a jump of the past is seen at a time of a part.
+        #: Whether a delayed term jumps at time ``t`` in part ``index``.
         self.arrival: Callable[[int, float], bool] = lambda index, t: False
 
     @cached_property
@@ -235,7 +233,8 @@ class Walk:
         return self.of.columns - 1 + bool(self.course.sight)
 
     def begin(self) -> tuple[np.ndarray, np.ndarray]:
-        """The flow at the start, and the derivatives of what must not change there."""
+        """The flow at the start, and the derivatives of deciding functions that are zero there; of
+        these a perturbation must not change the sign."""
         return self._flow(0, False), self._brinks(0, False)
 
     def pieces(self) -> Iterator[Factor | DelayedArc | Chatter]:
@@ -254,7 +253,7 @@ class Walk:
                 yield from self.arc(index, part)
             elif self.course.sight:
                 yield Chatter(index, part)
-            else:  # what its matrix leaves of gap and gap speed is the error of that
+            else:  # its matrix leaves errors in gap and gap speed, which the projection removes
                 yield self.limit(index, part)
                 yield from () if last else self.onto(index + 1)
             if index in jumps:
@@ -266,14 +265,14 @@ class Walk:
             yield self.jump(group, None)
 
     def unknown(self, part: Arc) -> Factor:
-        """The factor of the limit of a cycle, through which nothing is known of any change."""
+        """The factor of the limit of a cycle: ties on every number, as no derivative is known."""
         if self.course.sight:
             raise OrbitError(f"{self.model}, t = {part.t1!r}: {CYCLE}")
         every = np.eye(self.size, self.columns)
         return Factor(part.t1, None, every, ties=every)
 
     def onto(self, index: int) -> Iterator[Factor]:
-        """The projection at the start of a resting or sliding part."""
+        """The factor of the projection at the start of part ``index``, if it rests or slides."""
         part, (scene, of) = self.course.parts[index], self.beside(index, False)
         field = scene.field(part.mode)
         if isinstance(part, Arc) and field.project is not None:
@@ -283,6 +282,7 @@ class Walk:
             )
 
     def arc(self, index: int, arc: Arc) -> Iterator[Factor | DelayedArc]:
+        """The factors of an arc; with delays, the arc as one piece."""
         if self.course.sight:
             yield DelayedArc(index, arc)
             return
@@ -293,7 +293,7 @@ class Walk:
                 yield Factor(t + end, None, matrix, smooth=True)
 
     def _by_piece(self, t: float, segments: Sequence[Segment]) -> Iterator[Sequence[Segment]]:
-        """The steps of an arc that begins at ``t``, those on one piece of the signals together."""
+        """The steps of an arc that begins at ``t``, grouped by the pieces of the signals."""
         if not self.scene.samples:
             yield from [segments] if segments else []
             return
@@ -303,16 +303,16 @@ class Walk:
             yield [segment for _, segment in group]
 
     def limit(self, index: int, part: TailPart, found: LimitVariation | None = None) -> Factor:
-        """The factor of an accumulation; ``found`` gives derivatives of another scene."""
+        """The factor of an accumulation, from ``found`` if these derivatives are known already."""
         found = found or through(self.beside(index, False)[1], part.tail)
         moment = Moment(index, found.time, found.state, found.state, found.ratio)
         name = f"limit of {part.tail.contact.name}"
         return Factor(part.t1, name, found.matrix, (moment,), part=index)
 
-    # -- what is seen -----------------------------------------------------------------------
+    # -- the scene at a time ----------------------------------------------------------------
 
     def look(self, index: int, t: float, side: str = "right") -> Look:
-        """The scene at a time of a part, and its derivatives."""
+        """The scene at time ``t`` in part ``index``, and its derivatives."""
         if self.scene.samples:
             scene = self._on_piece(float(np.nextafter(t, -np.inf)) if side == "left" else t)
         elif self.course.sight:
@@ -325,17 +325,17 @@ class Walk:
 
     @property
     def restarts(self) -> bool:
-        """Whether a jump erases the past, by which the flow jumps, too."""
+        """Whether a jump erases the past, so that the flow jumps with the delayed terms."""
         return self.course.sight is not None and self.course.sight.memory == "restart"
 
     def _on_piece(self, t: float) -> Scene:
-        """The scene on the signals' pieces at a time."""
+        """The scene with the pieces of the signals that hold at time ``t``."""
         if not self._since <= t < self._there.until:
             self._since, self._there = self.scene.span(t)[0], self.scene.at(t)
         return self._there
 
     def beside(self, index: int, ends: bool) -> Look:
-        """The scene and its derivatives at an end of a part, on the side of the part."""
+        """The scene just inside the end of a part (if ``ends``) or its start; and derivatives."""
         return self.look(index, self.moment(index, ends)[1], "left" if ends else "right")
 
     def moment(self, index: int, ends: bool) -> tuple[float, float]:
@@ -376,12 +376,13 @@ class Walk:
         )
 
     def _on_knot(self, index: int, guard: Guard, row: JumpRow, count: int) -> bool:
-        """Whether a knot of a signal releases a contact, at a time that nothing changes.
+        """Whether a knot of a signal releases a contact, at a time that is the same for all
+        neighbouring runs.
 
         Raises
         ------
         OrbitError
-            If something else jumps at a knot: neighbours jump on either side of it.
+            If something else jumps at a knot: neighbouring runs jump on either side of it.
         """
         if not self.scene.samples or self.scene.span(row.t)[0] != row.t or guard.kind is Kind.CLOCK:
             return False
@@ -393,7 +394,7 @@ class Walk:
         )
 
     def _waits(self, index: int, guard: Guard, row: JumpRow) -> bool:
-        """Whether a guard has fired because a delayed term of it has jumped."""
+        """Whether a guard fires because a delayed term of it jumps."""
         if not self.arrival(index, row.t):
             return False
         piece, x = self.piece(index, True), row.before.tolist()
@@ -404,14 +405,14 @@ class Walk:
         return bool(abs(guard.value(row.t, x)) > SEEN * abs(guard.value(row.t, x) - later))
 
     def _widened(self, matrix: Matrix) -> Matrix:
-        """A matrix with an added zero column for the time at which a jump of the past is seen."""
+        """A matrix; with delays, a 0 column is added for the time at which a delayed term jumps."""
         missing = self.columns - matrix.shape[1]
         return np.pad(matrix, ((0, 0), (0, missing))) if missing else matrix
 
     def _moments(
         self, group: Sequence[Row], time: Numbers, before: Numbers
     ) -> tuple[tuple[Moment, ...], np.ndarray]:
-        """The moments of successive jumps at one time, and the ties between them."""
+        """The moments of successive jumps at one time, and the ties that keep them at one time."""
         state = np.eye(self.size, len(time)) + np.outer(before, time)
         moments, ties = [], [np.zeros((0, len(time)))]
         for number, (place, row) in enumerate(group):
@@ -423,8 +424,8 @@ class Walk:
         return tuple(moments), np.vstack(ties)
 
     def _tie(self, place: int, row: JumpRow, time: Numbers, state: Matrix) -> Matrix:
-        """The variation of a guard that is zero after the preceding jump, which must stay zero for
-        neighbours; empty for a guard beyond its zero, which also fires for neighbours."""
+        """The variation of a guard that is zero after the preceding jump: it must stay zero in
+        neighbouring runs. Empty for a guard beyond its zero, which fires in these as well."""
         field, guard = self.fired(place, row)
         of = self.beside(place, True)[1]
         if self._beyond(place, field, guard, row):
@@ -433,7 +434,7 @@ class Walk:
         return cleared(gradient @ moved, np.abs(gradient) @ np.abs(moved), TIED)
 
     def _beyond(self, place: int, field: Field, guard: Guard, row: JumpRow) -> bool:
-        """Whether a guard that fires is beyond its zero."""
+        """Whether a guard fires at a value beyond zero, by more than rounding."""
         x, scene = row.before.tolist(), self.beside(place, True)[0]
         size = scene.rounding(guard, field)(row.t, x)[0]
         return bool(abs(guard.value(row.t, x)) > NEAR * size)
@@ -444,7 +445,7 @@ class Walk:
         Raises
         ------
         OrbitError
-            If it has none, as where ``zeno='truncate'`` holds a contact.
+            If no guard fired: ``zeno='truncate'`` has put the contact to rest.
         """
         field = self.beside(place, True)[0].field(self.course.parts[place].mode)
         if row.edge not in (guard.edge for guard in (*field.guards, *field.clocks)):
@@ -455,11 +456,12 @@ class Walk:
         return field, field.guard(row.edge)
 
     def _reset(self, place: int, row: JumpRow) -> Matrix:
+        """The derivatives of the state after a jump, at the state before it."""
         kind, of = self.fired(place, row)[1].kind, self.beside(place, True)[1]
         return of.reset(row.edge, kind)(row.t, row.before)
 
     def _moved(self, time: Numbers, state: Matrix) -> Matrix:
-        """The stacked perturbations of time, state and parameters."""
+        """The perturbations of time, state, delayed states and parameters, stacked."""
         others = self.of.columns - 1 - self.size
         return np.vstack([time, state, np.eye(others, len(time), self.size)])
 
@@ -472,8 +474,8 @@ class Walk:
         flow: StateVector,
         jumped: ArcPiece | None,
     ) -> Numbers:
-        """The variation of the time at which a guard fires; for a guard that jumped over zero at
-        the end of ``jumped``, of the time at which its formula changes."""
+        """The variation of the time at which a guard fires. If the guard's value jumps over zero at
+        the end of the piece ``jumped``, this is the time at which its formula changes."""
         of = self.beside(index, True)[1]
         if jumped is not None:
             key = "guard", guard.edge, field.name
@@ -494,7 +496,7 @@ class Walk:
         return self._widened(-gradient[None, 1:] / rate)[0]
 
     def _jumps(self, index: int, guard: Guard, field: Field, piece: ArcPiece) -> bool:
-        """Whether a guard that fires at the end of a piece tends to a nonzero value there."""
+        """Whether a guard jumps over zero at the end of a piece: its limit there is not zero."""
         if not guard.jumps:
             return False
         taus = [piece.end - piece.beside, piece.end - 2.0 * piece.beside]
@@ -505,7 +507,8 @@ class Walk:
         return bool(abs(2.0 * near - far) > NEAR * size)
 
     def _sides(self, index: int, after: int | None, moments: Sequence[Moment]) -> list[np.ndarray]:
-        """Ties of a jump where a flow jumps too: neighbours have that before or after."""
+        """Ties of a jump that coincides with a kink of the flow before or after it: neighbouring
+        runs pass the kink on either side of the jump."""
         first, last = moments[0], moments[-1]
         before = self._brinks(index, True)
         found = [before @ self._moved(first.time, first.before)]
@@ -514,8 +517,8 @@ class Walk:
         return [cleared(rows, np.abs(rows).max(initial=0.0), TIED) for rows in found]
 
     def _brinks(self, index: int, ends: bool) -> Matrix:
-        """Derivatives of the deciding functions that are zero at an end of an arc and beyond which
-        the flow differs."""
+        """Derivatives of the deciding functions that are zero at the end (if ``ends``) or the start
+        of an arc, if the flow jumps at their zero; one row each."""
         (scene, of), piece = self.beside(index, ends), self.piece(index, ends)
         field = scene.field(self.course.parts[index].mode)
         if piece is None or not field.changes:
@@ -534,7 +537,7 @@ class Walk:
         return found[near, 1:] if np.any(np.abs(other - flow) > NEAR * size) else found[:0, 1:]
 
     def _flow(self, index: int, ends: bool) -> Numbers:
-        """The flow at an end of a part, on the side of the part."""
+        """The flow at the end of a part (if ``ends``) or at its start, as a limit from inside."""
         part, piece = self.course.parts[index], self.piece(index, ends)
         field = self.beside(index, ends)[0].field(part.mode)
         if piece is not None and field.changes:
@@ -550,5 +553,6 @@ class Walk:
         if not isinstance(part, Arc) or not part.segments:
             return None
         changes = self.of.scene.field(part.mode).changes
-        segment = (told(part.segments) if changes else part.segments)[-1 if ends else 0]
+        segments = resolvable(part.segments) if changes else part.segments
+        segment = segments[-1 if ends else 0]
         return ArcPiece(part.t0 + part.low, segment, segment.start, segment.length)

@@ -1,4 +1,4 @@
-"""The sum of infinitely many impacts as part of a run: see :mod:`hybrid.rules.sums`."""
+"""The sum of a series of infinitely many impacts within a run: see :mod:`hybrid.rules.sums`."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ if TYPE_CHECKING:
     from ..segment import Segment
     from .enclose import Proof
 
-#: Impacts of a tail from which a proof is tried, as numbers and as fractions of the listed ones.
+#: Impacts of a tail from which a proof is tried: by number, and as fractions of the listed impacts.
 PROOF_IMPACTS, SHARES_LISTED = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000), (0.25, 0.5, 0.75)
 
-#: Number of flights, and of times, of a tail at which a flow is compared with its local model; and
-#: a safety factor for the times between.
+#: Number of flights, and of times along the tail, at which a flow is compared with its local model;
+#: and a safety factor for the times between.
 COMPARED, BETWEEN_CAUTION = 16, 4.0
 
 #: Most impacts integrated to find one from which a proof succeeds; they take half a second.
@@ -63,22 +63,25 @@ FLOWN_IMPACTS = 400
 
 @attrs.frozen(eq=False)
 class Tail:
-    """Infinitely many impacts, from ``y(1)`` to their limit.
+    """Infinitely many impacts, from ``y(1)`` to their limit ``y(0)``.
 
-    The point ``y(w)`` of the curve is the state after an impact; impact ``n`` is ``y(r**n)``.
+    The points of a curve ``y(w)`` are times and states after impacts; impact ``n`` is ``y(r**n)``.
 
     Attributes
     ----------
+    field, contact, column
+        The flow between impacts, the contact, and the index of its gap among the field's guards.
     t, low : float
         Time of the impact ``y(1)``, in two floats.
     x : array
-        State after it.
+        State after the impact ``y(1)``.
     v : float
-        Gap speed after it.
+        Gap speed after the impact ``y(1)``.
     r : float
-        Restitution at rest, which is the limit ratio of the series.
+        Restitution at rest, which is the limit of the ratio of successive flight times.
     curve : array, shape (degree + 1, 2 + n)
-        Chebyshev coefficients in ``2 w - 1`` of time and state, relative to ``y(1)``, and of ``l``.
+        Chebyshev coefficients in ``2 w - 1`` of time and state, relative to ``y(1)``, and of ``l``:
+        the gap speed after the impact is ``v w exp(l(w))``.
     remaining : float
         Time from ``y(1)`` to the accumulation point.
     x_inf : array
@@ -111,14 +114,14 @@ class Tail:
             return float(given.lines[ON_CURVE, 0]), x, v
 
     def later(self, off: float) -> Tail:
-        """The same sum, whose limit may be earlier or later by so much more."""
+        """The same sum with the error bound of its limit increased by the time ``off``."""
         if not off:
             return self
         x_error = off * np.abs(self.field.rhs(self.t + self.remaining, self.x_inf.tolist()))
         return attrs.evolve(self, t_error=self.t_error + off, x_error=self.x_error + x_error)
 
     def within(self, remaining: float) -> Tail:
-        """The same sum, whose limit is so soon, by less than it may be off."""
+        """The same sum scaled to end ``remaining`` after ``y(1)``, with a larger error bound."""
         curve = self.curve.copy()
         curve[:, 0] *= remaining / self.remaining
         error = self.t_error + self.remaining - remaining
@@ -150,7 +153,7 @@ class Tail:
         return before, after
 
     def state(self, since: float) -> list[float]:
-        """The state at a time ``since`` after ``y(1)``."""
+        """The state at the time ``since`` after ``y(1)``; the limit if the flight has no series."""
         n = max(int(np.searchsorted(self.times, since, side="right")) - 1, 0)
         flight = self.flight(n)
         if flight is None:
@@ -160,13 +163,13 @@ class Tail:
         return [polynomial(c, s - start) for c in series.tolist()]
 
     def prove(self) -> list[Proof]:
-        """Proofs of the accumulation, in order of time; the first is from an integrated impact.
+        """Proofs of the accumulation, in order of time; empty if none succeeds.
 
-        The run has integrated up to the tail's first impact. If no box around it can be enclosed,
-        the next flights are integrated here one by one, each verified along the flow, until one
-        can. Without such a proof there is none, since later impacts come from the curve, on which a
-        proof must not rest. Once the accumulation is proved, later impacts from the curve narrow
-        the bounds.
+        The first proof must start from an integrated impact, because the curve is not proved. The
+        run has integrated up to the tail's first impact. If the proof from there fails, the next
+        flights are integrated here one by one, each verified along the flow, until a proof
+        succeeds. Once the accumulation is proved, proofs from later impacts on the curve narrow the
+        bounds.
         """
         first, stage = self._flown_proof()
         if first is None:
@@ -220,7 +223,7 @@ class Tail:
             yield chatter.programs, given
 
     def flight(self, n: int) -> Flight | None:
-        """The flight after impact ``n`` of the tail, from the curve."""
+        """The flight after impact ``n``, which starts on the curve; None as for :func:`.fly`."""
         since, x, v = self.point(self.r**n)
         return fly(self.field, self.column, self.t + since, x.tolist(), v)
 
@@ -236,10 +239,22 @@ def close(
     rtol: float,
     atol: float,
 ) -> Tail | None:
-    """Sum the impacts that follow an impact with gap speed ``v``.
+    """Sum the impacts that follow an impact at ``t + low``.
 
-    Returns None if the series does not converge well enough from here: the impacts are still too
-    strong, or do not accumulate. ``rtol`` and ``atol`` are tolerances of the result.
+    Parameters
+    ----------
+    column : int
+        Index of the contact's gap among the guards of the field.
+    x, v : array, float
+        State and gap speed after the impact.
+    rtol, atol : float
+        Tolerances of the limit.
+
+    Returns
+    -------
+    Tail or None
+        None if the series does not converge well enough from here: the impacts are still too
+        strong, or do not accumulate.
     """
     called = field.jets is None
     if called:
@@ -263,7 +278,7 @@ def close(
 
 
 def clear(tail: Tail, field: Field, column: int) -> bool:
-    """Whether no other guard of a field reaches zero along a tail, at impacts and in flights."""
+    """Whether no guard of a field, except that in ``column``, reaches zero along a tail."""
     chatter, signs = _chatter(tail.field, tail.contact), _inside(field)
     of = chatter.programs, 0, 1, column, tail.field.project is not None
     rounding = GUARD_ROUNDING * EPS * float(np.max(np.abs(tail.x_inf)))
@@ -273,7 +288,7 @@ def clear(tail: Tail, field: Field, column: int) -> bool:
 
 
 def _inside(field: Field) -> Integers:
-    """The signs that guards must have not to fire on entering; 0 for one that may have either."""
+    """The sign that each guard must have so as not to fire on entering; 0 if it may have any."""
     signs, guards = {Crossing.FALLING: 1, Crossing.RISING: -1}, field.guards
     return np.array([signs.get(g.crossing, 0) if g.bounds or g.urgent else 0 for g in guards])
 
@@ -307,7 +322,8 @@ def hop(
 
 
 def _compared(tail: Tail, rtol: float, atol: float) -> Tail | None:
-    """Accept a sum of the local model if the flow is close enough to it all along the tail.
+    """A sum of the local model with larger error bounds; None if the flow is not close enough to
+    the model all along the tail.
 
     A relative error of the force changes the times of all flights by the same fraction.
     """
@@ -352,7 +368,7 @@ class _Chatter:
 
     @classmethod
     def of(cls, field: Field, contact: Contact) -> _Chatter:
-        """Make it from the flow and the laws of the contact."""
+        """The impact map made of the flow and of the laws of the contact."""
         assert field.jets is not None
         parts = [field.jets, *field.at_contact(contact.name)]
         local = contact.local and not field.held

@@ -1,9 +1,9 @@
 """The limit of a cycle of jumps, by sequence acceleration.
 
-Cycles of edges have no impact map that could be summed: two tanks filled in turn, a block that
-rocks from edge to edge, a contact that ceases to damp slow impacts. All that is known is the
-sequence of times and states at which the cycle closes. Its limit is found in three steps, each of
-which may reject it.
+A cycle of several edges has no impact map that could be summed: two tanks filled in turn, a block
+that rocks from edge to edge, a contact that ceases to damp slow impacts. All that is known is the
+sequence of times and states at which the cycle closes. The limit of this sequence is found in three
+steps, each of which may reject it.
 
 1. *Raabe's test.* Let ``a_k`` be the durations of successive cycles. Then ``q_k = 1 / (a_{k-1}/a_k
   - 1)`` grows by ``1/p`` per cycle if ``a_k`` falls like ``k^-p``, and is constant for a geometric
@@ -36,7 +36,7 @@ from ..rules.lanes import FAST_FALL, FEW_TURNS, LONGEST_CYCLE
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
 
-#: Turns that establish a cycle, and turns needed if durations fall like a power.
+#: Turns that establish a cycle, and turns needed if durations fall like a power of their number.
 LEAST_CYCLES, POWER_CYCLES = 6, 48
 
 #: Smallest exponent ``p`` of a power law ``k^-p`` of durations.
@@ -45,14 +45,14 @@ RAABE = 1.1
 #: Growth of Raabe's quantity above which durations are taken to fall like a power.
 RAABE_GROWTH = 0.05
 
-#: Most terms of Levin's transformation, and the ratio of successive places towards the start.
+#: Most terms of Levin's transformation, and the ratio of the indices of successive terms used.
 TERMS, THIN = 12, 0.7
 
 #: Largest remaining time to the limit, relative to the time since the first cycle.
 LEFT_TO_LIMIT = 1e-3
 
-#: Largest final distance of a state to the limit, relative to its largest one. (A sequence that
-#: only alternates in sign has a sum by acceleration, but no limit.)
+#: Largest final distance of a state to the limit, relative to its largest distance. (A sequence
+#: that only alternates in sign has a limit by acceleration, but none in truth.)
 NEARER = 0.5
 
 #: Safety factor on the change between the last estimates.
@@ -69,6 +69,7 @@ class CycleLimit:
     Attributes
     ----------
     edges : tuple of str
+        The edges of one turn.
     remaining : float
         Time from the last jump to the limit.
     x_inf : array
@@ -81,8 +82,8 @@ class CycleLimit:
     turns : int
         Number of closings of the cycle that were used.
     limits : tuple of (edge, array)
-        If resets move the state: the jumps of a turn, each with the limit of the state after it;
-        the last is ``x_inf``.
+        If resets move the state: each jump of a turn with the limit of the state after it; the last
+        limit is ``x_inf``. Otherwise empty.
     """
 
     edges: tuple[str, ...]
@@ -127,9 +128,9 @@ def limit(
     states : array, shape (cycles + 1, n)
         States after those jumps.
     rtol, atol : float
-        Accuracy of the jumps; the limit need not be more accurate.
-    beside
-        See :func:`accelerated`.
+        Accuracy of the jumps, and required accuracy of the limit.
+    beside : sequence of int
+        Indices of discrete state elements: see :func:`accelerated`.
     """
     durations = np.diff(times)
     if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
@@ -167,7 +168,7 @@ def accelerated(
     Columns in ``beside`` hold discrete variables on which nothing else depends. They keep their
     last value, with infinite error if they still change.
     """
-    with np.errstate(all="ignore"):  # vanishing steps: a non-finite estimate loses
+    with np.errstate(all="ignore"):  # equal terms: a non-finite estimate is never the best
         now, error = np.array([_accelerated(column, power) for column in columns.T]).T
     scale, rounding = np.abs(now) + np.ptp(columns, axis=0), CYCLE_ROUNDING * len(columns)
     error += rounding * scale
@@ -177,13 +178,13 @@ def accelerated(
 
 
 def _fast(durations: Numbers) -> int:
-    """Number of last durations that are each a small fraction of the previous one."""
+    """Length of the last run of durations, each of which is a small fraction of the one before."""
     slow = np.flatnonzero(durations[1:] > FAST_FALL * durations[:-1])
     return len(durations) - (int(slow[-1]) + 1 if len(slow) else 0)
 
 
 def _raabe(durations: Numbers) -> float:
-    """Growth per cycle of ``1 / (a_{k-1}/a_k - 1)``, over the last half."""
+    """Growth per cycle of ``1 / (a_{k-1}/a_k - 1)``, over the last half of the cycles."""
     own = 1.0 / (durations[:-1] / durations[1:] - 1.0)
     half = len(own) // 2
     return float((own[-1] - own[half]) / (len(own) - 1 - half))
@@ -212,7 +213,7 @@ def _aitken(sequence: np.ndarray) -> float:
 
 
 def _epsilon(sequence: Numbers) -> list[float]:
-    """Wynn's epsilon algorithm: the last entry of each even column."""
+    """Limits of a sequence by Wynn's epsilon algorithm: the last entry of each even column."""
     before, now, estimates = np.zeros(len(sequence) + 1), sequence, [float(sequence[-1])]
     for column in range(1, len(sequence)):
         steps = np.diff(now)
@@ -225,10 +226,11 @@ def _epsilon(sequence: Numbers) -> list[float]:
 
 
 def _levin(sequence: Numbers) -> list[float]:
-    """Levin's transformation for increasing numbers of terms, at geometrically thinning places.
+    """Limits of a sequence by Levin's transformation with increasing numbers of terms.
 
-    The remainder is ``k a_k`` times a polynomial in ``1/k``. Successive places, as in the
-    u-transform, would give the same but amplify rounding.
+    The remainder is modelled as ``k a_k`` times a polynomial in ``1/k``. The terms used have
+    geometrically spaced indices; successive ones, as in Levin's u-transform, have the same limit
+    but amplify rounding.
     """
     count = np.arange(1, len(sequence))
     terms = np.diff(sequence)
@@ -243,6 +245,6 @@ def _levin(sequence: Numbers) -> list[float]:
         rows = np.column_stack([np.ones(k + 1), (place * terms[place - 1])[:, None] * powers])
         try:
             estimates.append(float(np.linalg.solve(rows, sequence[place])[0]))
-        except np.linalg.LinAlgError:  # the terms do not thin out: no limit can be seen
+        except np.linalg.LinAlgError:  # the terms do not fall: no limit can be found
             return []
     return estimates

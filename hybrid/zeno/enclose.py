@@ -2,9 +2,9 @@
 
 Ball arithmetic encloses the gap's acceleration, the flow, the restitution and the change of state
 at an impact over a box of time and state. The lemma (:mod:`.lemma`) then bounds the remaining time
-and the sum of the impact speeds, and these bound how far time and state move. If that is less than
-the size of the box, no motion from the impact leaves the box, and the bounds are proved. Other
-guards must have no zero in the box. See ``docs/notes/certificates.md``.
+and the sum of the impact speeds, and these bound how far time and state move. If they move by less
+than the size of the box, no motion from the impact leaves the box, and the bounds are proved.
+Other guards must have no zero in the box. See ``docs/notes/certificates.md``.
 
 The state at the impact is taken as exact: errors of the integration before it are not part of the
 proof.
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
     from ..lowering import Field
 
-#: Most boxes tried, and the size of a box relative to what the previous one required.
+#: Most boxes tried, and the size of a box relative to that which the bounds on the previous one
+#: require.
 BOX_TRIES, BOX_REACH = 12, 1.5
 
 
@@ -52,7 +53,7 @@ class Proof:
     low, high : float
         Bounds on the time of the accumulation.
     x_low, x_high : array
-        Bounds on the state there.
+        Bounds on the state at the accumulation.
     """
 
     t: float
@@ -81,12 +82,17 @@ class _Box:
 
 
 def prove(field: Field, contact: str, t: float, x: StateVector, v: float) -> Proof | None:
-    """Prove that the impacts of a contact accumulate; None if the proof fails.
+    """Prove that the impacts of a contact accumulate.
 
     Parameters
     ----------
     t, x, v
         Time, state and gap speed after an impact, taken as exact.
+
+    Returns
+    -------
+    Proof or None
+        None if the proof fails.
 
     Raises
     ------
@@ -147,13 +153,13 @@ def _proof(
 
 @attrs.frozen(eq=False)
 class _Question:
-    """What is enclosed for a contact.
+    """The functions of a contact that a proof encloses.
 
     Attributes
     ----------
     program : IntervalProgram
-        The gap and its two Lie derivatives, the restitution, the flow, the push, the slopes, the
-        other guards.
+        Its roots: the gap and its two Lie derivatives, the restitution, the flow, the change of
+        state per change of gap speed, the slopes of gap and gap speed, the other guards.
     pair : (int, int) or None
         The one position and one velocity on which, with time, the gap and its speed depend.
     even : bool
@@ -167,7 +173,7 @@ class _Question:
 
 
 class _Bounds:
-    """Enclosures over a box."""
+    """Enclosures of the functions of a contact over a box."""
 
     def __init__(
         self, question: _Question, parameters: Any, t: float, x: StateVector, box: _Box
@@ -197,11 +203,11 @@ class _Bounds:
 
     @property
     def pushes(self) -> bool:
-        """Whether all is defined on the box and the gap's acceleration is negative all over it."""
+        """Whether all functions are defined, and the gap's acceleration negative, on the box."""
         return self.sound and bool(self.m > 0)
 
     def needed(self, says: Chattering) -> _Box:
-        """The box that the motion needs: the reach of the flow plus that of the impacts."""
+        """The box that contains the motion: the reach of the flow plus that of the impacts."""
         from ..bounds.balls import high
 
         assert says.remaining is not None
@@ -216,7 +222,8 @@ class _Bounds:
         return _Box(high(time), np.array([high(far) for far in reach]), high(says.speed))
 
     def _near(self, says: Chattering, time: Any) -> Iterator[tuple[int, Any]]:
-        """Bounds on the position and the velocity from those on gap and gap speed."""
+        """Bounds on the changes of position and velocity, from those of gap and gap speed; pairs of
+        state index and bound."""
         if not self.slopes:
             return
         assert self.pair is not None
@@ -234,7 +241,7 @@ GAP_SLOPES = 5
 
 
 def _question(field: Field, contact: str) -> _Question | None:
-    """The program of all that is enclosed for a contact.
+    """The functions of a contact as a program of ball arithmetic.
 
     None if the flow or the gap hides a derivative, or an operation has no ball arithmetic.
     """
@@ -270,7 +277,7 @@ def _question(field: Field, contact: str) -> _Question | None:
 
 
 def _even(graph: FixedGraph, lies: list[int], pair: tuple[int, int] | None) -> bool:
-    """Whether the gap's acceleration depends on its position and, evenly, its velocity only."""
+    """Whether the gap's acceleration depends on the pair only, and evenly on the velocity."""
     if pair is None:
         return False
     names = {name for name in inputs_of(graph, lies) if name[0] != "p"}
@@ -282,8 +289,7 @@ def _even(graph: FixedGraph, lies: list[int], pair: tuple[int, int] | None) -> b
 
 
 def _pair(field: Field, contact: str, graph: FixedGraph, lies: list[int]) -> Any:
-    """The one position and velocity on which, with time, the gap and its speed depend; None if
-    there are more."""
+    """The one position and velocity on which, with time, gap and gap speed depend; or None."""
     pairing = field.code.pairing(contact)
     if len(pairing.positions) != 1:
         return None
@@ -295,6 +301,6 @@ def _pair(field: Field, contact: str, graph: FixedGraph, lies: list[int]) -> Any
 
 
 def _slopes(graph: FixedGraph, lies: list[int], by: list[int]) -> list[int]:
-    """The slopes by time, position and velocity, in the order of :meth:`_Bounds._near`."""
+    """Derivatives of the gap by time and position, and of its speed by time and the pair."""
     height, speed, _ = lies
     return [*gradient(graph, height, by)[:2], *gradient(graph, speed, by)]

@@ -33,7 +33,8 @@ class Flight:
     """A flight: its duration, final state and final gap speed (``u < 0``).
 
     ``pieces`` are ``(start, length, series of the states)``; a short flight has one. ``branch``
-    holds the sides of its kinks at the start, then the kinks that it crossed, in order.
+    holds the signs of the deciding functions at the start, then the numbers of those that change
+    their sign, in order.
     """
 
     time: float
@@ -43,12 +44,12 @@ class Flight:
     branch: tuple[int, ...]
 
     def segments(self) -> list[Segment]:
-        """The states along the flight."""
+        """The states along the flight as polynomials in local time."""
         return segments(self.pieces)
 
 
 def segments(pieces: Sequence[Piece]) -> list[Segment]:
-    """The states along the pieces of a flight."""
+    """The states along the pieces of a flight as polynomials in local time."""
     powers = from_powers(ORDER)
     return [Segment(start, length, powers @ terms(c, length).T) for start, length, c in pieces]
 
@@ -56,8 +57,9 @@ def segments(pieces: Sequence[Piece]) -> list[Segment]:
 def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight | None:
     """The flight that leaves a contact with gap speed ``v > 0``.
 
-    Returns None if a few series do not reach its end. The flight is then long compared with the
-    time scale of forces or gap, and the solver must integrate it.
+    Returns None if the flow has no Taylor series, or a few of them do not reach the end of the
+    flight: it is then long compared with the time scale of forces or gap, and the solver must
+    integrate it. ``column`` is the index of the gap among the field's guards.
     """
     if field.jets is None:
         return None
@@ -78,15 +80,16 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
 
 
 def pieces_of(count: int, starts: Numbers, lengths: Numbers, series: Matrix) -> tuple[Piece, ...]:
-    """The pieces of a flight from the arrays of the rule."""
+    """The pieces of a flight, from the arrays that the rule has filled."""
     parts = np.split(series[: count * (len(series) // len(starts))].copy(), count)
     return tuple(zip(starts[:count].tolist(), lengths[:count].tolist(), parts, strict=True))
 
 
 def rise(field: Field, column: int, t: float, x: list[float], v: float) -> float | None:
-    """Largest gap after leaving a contact with speed ``v``; None if one series is too short.
+    """The largest gap of the flight that leaves a contact with gap speed ``v``.
 
-    The gap is a coordinate of its own, as in :func:`fly`.
+    None if one Taylor series does not reach the end of the flight. The gap is a coordinate of its
+    own, as in :func:`fly`.
     """
     if field.jets is None or field.kinks:
         return None

@@ -51,7 +51,7 @@ class Shrinking:
     changes: np.ndarray
 
 
-class Now(NamedTuple):
+class Motion(NamedTuple):
     """Gaps, gap speeds, and the time elapsed."""
 
     gaps: list[float]
@@ -59,7 +59,7 @@ class Now(NamedTuple):
     elapsed: float
 
 
-class Impacts:
+class Cascade:
     """Impacts of touching bodies, one after another, in the order in which their gaps close.
 
     Parameters
@@ -98,9 +98,9 @@ class Impacts:
                 found = i, gap / -speed
         return found
 
-    def now(self) -> Now:
+    def now(self) -> Motion:
         """How things are."""
-        return Now(list(self.gaps), list(self.speeds), self.elapsed)
+        return Motion(list(self.gaps), list(self.speeds), self.elapsed)
 
     def go_on(self, wait: float) -> None:
         """Let time pass without an impact."""
@@ -155,7 +155,7 @@ class Impacts:
         return changes, speeds + self._gain[:, struck] @ changes
 
 
-def shrinking(impacts: Impacts, instant: float) -> Shrinking | None:
+def shrinking(impacts: Cascade, instant: float) -> Shrinking | None:
     """The impacts at one instant that never end; None if they do, or it cannot be told.
 
     Contacts whose impacts recur forever are brought to rest. Another that is struck next may set
@@ -163,11 +163,11 @@ def shrinking(impacts: Impacts, instant: float) -> Shrinking | None:
 
     Parameters
     ----------
-    impacts : Impacts
+    impacts : Cascade
     instant : float
         The time within which they must happen.
     """
-    turns, groups, first, ratio = Turns(impacts), Groups(), None, 0.0
+    turns, groups, first, ratio = Recurrence(impacts), Groups(), None, 0.0
     for count in range(MOST_IMPACTS):
         found = impacts.next()
         if found is None or impacts.elapsed + found[1] > instant:
@@ -183,16 +183,16 @@ def shrinking(impacts: Impacts, instant: float) -> Shrinking | None:
             impacts.rest(struck)
             first = first or Shrinking(struck, ratio, impacts.changes.copy())
             groups.add(struck)
-            turns = Turns(impacts)
+            turns = Recurrence(impacts)
             continue
         turns.add(found[0], groups.strike(impacts, *found))
     return first
 
 
-class Turns:
+class Recurrence:
     """Finds impacts that recur, by Brent's method: each mark holds twice as long as the last."""
 
-    def __init__(self, impacts: Impacts) -> None:
+    def __init__(self, impacts: Cascade) -> None:
         self._impacts, self._turn = impacts, 1
         self._set_mark()
 
@@ -243,7 +243,7 @@ class Groups:
             known.add(self._tried[1])
         self._tried = None
 
-    def strike(self, impacts: Impacts, j: int, wait: float) -> tuple[int, ...]:
+    def strike(self, impacts: Cascade, j: int, wait: float) -> tuple[int, ...]:
         """Make an impact; beside a group of which it is known that it comes to rest again, those of
         that group, too. Returns the group."""
         if self._tried is not None and j not in self._tried[0]:
@@ -260,7 +260,7 @@ class Groups:
         return ()
 
 
-def _recurs(before: Now, now: Now, struck: list[int]) -> tuple[float, float]:
+def _recurs(before: Motion, now: Motion, struck: list[int]) -> tuple[float, float]:
     """The ratio of the speeds of some contacts after a turn, infinity if these and their gaps do
     not recur; and how long all turns that follow take."""
     fall = _ratio([before.speeds[i] for i in struck], [now.speeds[i] for i in struck])

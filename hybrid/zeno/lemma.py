@@ -1,4 +1,4 @@
-"""The lemma of complete chattering without symmetry, on balls (``docs/notes/certificates.md``).
+"""The lemma of complete chattering, in ball arithmetic (``docs/notes/certificates.md``).
 
 While a gap's acceleration stays in ``[-M, -m]`` with ``m > 0``, a flight that leaves the contact
 with gap speed ``v`` returns with a speed in ``[v sqrt(m/M), v sqrt(M/m)]``. With restitution ``r``
@@ -42,7 +42,7 @@ class Chattering:
 
 
 def chattering(v: Any, m: Any, M: Any, r: Any, even: bool = False) -> Chattering:
-    """The numbers of the lemma, each rounded to the safe side.
+    """Apply the lemma; each bound is rounded to the safe side.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def chattering(v: Any, m: Any, M: Any, r: Any, even: bool = False) -> Chattering
 
 
 def _ends(bounds: Any) -> tuple[Any, Any]:
-    """The exact ends of a number, a pair or a ball."""
+    """The ends of a number, a pair or a ball, as exact balls."""
     from flint import arb
 
     if isinstance(bounds, Sequence):

@@ -1,18 +1,19 @@
-"""Checks that nothing hides between the sampled flights of a sum of impacts.
+"""Checks that a sum of impacts misses no effect between its sampled flights.
 
-The curve of a tail is built from a few flights. Before the sum is accepted, effects between them (a
-force pulse, a bump of the table, a restitution that changes at some speed) are searched for:
+The curve of a tail is built from a few flights. Before the sum is accepted, these checks look for
+effects between them (a force pulse, a bump of the table, a restitution that changes at some speed):
 
 - The restitution at every impact of the tail, down to speed zero, is compared with that of the
-  flights.
+  sampled flights.
 - With python-flint, the gap's acceleration and the restitution are bounded in boxes that contain
   the motion from the first impact to the limit: in doubles rounded outwards and, if these do not
   decide, in ball arithmetic. The bounds must agree with the values at points of the tail up to
-  :data:`EXCESS`. A fainter pulse, or one that the points have met, is brief compared with its
-  flight and shows in the acceleration's rates of change. The last of :data:`RATES` must therefore
-  agree with its values at the points, up to what bends a flight by the same excess. A formula that
-  changes shows in no rate: what decides on it must keep its sign, unless it is zero at the limit,
-  as the velocity is, and changes in every flight.
+  :data:`EXCESS`. A pulse that is weaker, or that some point has hit, is brief compared with its
+  flight and has large time derivatives. The time derivative of order :data:`RATES` of the gap's
+  acceleration must therefore agree with its values at the points, up to the amount that bends a
+  flight by the same excess. A formula that changes shows in no derivative: the function that
+  decides on it must keep its sign, unless it is zero at the limit, as the velocity is, and changes
+  its sign in every flight.
 - The guards of other edges must not be zero in such boxes (:mod:`.others`).
 """
 
@@ -65,10 +66,10 @@ LOST = 1e-13
 
 
 def seen(tail: Tail, closing: float = 1.0) -> bool:
-    """Whether nothing hides between the flights of a sum.
+    """Whether the checks find no effect that a sum of impacts misses.
 
-    ``closing``: tolerance of the sum relative to the run's; a more accurate sum is checked more
-    closely.
+    ``closing`` is the tolerance of the sum relative to the run's; a more accurate sum is checked
+    more closely.
     """
     return law_error(tail) < inf and _bounded(tail, EXCESS * closing**0.5)
 
@@ -95,8 +96,9 @@ def _depends(field: Field, contact: str) -> bool:
 
 
 def law_error(tail: Tail) -> float:
-    """By how much the limit is off as the restitution at each impact is not quite that of the sum's
-    flights; infinite where it is another, or not below 1."""
+    """A bound on the error in the time of the limit, because the restitution at each impact differs
+    a little from that interpolated between the flights of the sum. Infinite if it differs by more
+    than the sum's own error allows, or is not below 1."""
     if not _depends(tail.field, tail.contact.name):
         return 0.0
     series = _flown(tail)
@@ -122,10 +124,10 @@ def law_error(tail: Tail) -> float:
 
 
 def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
-    """Logarithms of the speed ratio over a flight, and of the restitution after it.
+    """Logarithms of the speed ratio over a flight, and of the restitution at its end.
 
-    Chebyshev coefficients in the place on the curve at which the flight begins; None if there is no
-    such flight.
+    Both are Chebyshev coefficients in ``2 w - 1``, where the flight begins at ``y(w)``. None if a
+    flight has no series.
     """
     rows = [[0.0, log(tail.r)]]
     for w in nodes(LAW_POINTS)[1:].tolist():
@@ -142,13 +144,13 @@ def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float) -> bool:
-    """Whether impacts slower than ``speed`` lose enough for their series to have a sum.
+    """Whether impacts slower than ``speed`` lose enough speed for their times to have a sum.
 
-    The loss ``lost(v) = 1 - r(v)`` may fade with the speed, until it is below :data:`LOST` and
-    counts as zero, but must not vanish abruptly. If it fades, flights that have shortened by a
-    constant ``ratio`` will not continue to do so. There are ``dn = -dv / (v lost(v))`` impacts near
-    speed ``v``, each lasting a time proportional to ``v``, so their times have a sum only if ``v /
-    lost(v)`` falls with ``v``.
+    The loss ``lost(v) = 1 - r(v)`` may tend to zero with the speed, until it is below :data:`LOST`
+    and counts as zero, but must not vanish abruptly. If it tends to zero, flights that have
+    shortened by a constant ``ratio`` will not continue to do so. There are ``dn = -dv / (v
+    lost(v))`` impacts near speed ``v``, each followed by a flight whose time is proportional to
+    ``v``, so the times have a sum only if ``v / lost(v)`` falls with ``v``.
     """
     fades = 1.0 - contact.law(t, x, -0.0) < LEAST_LOSS
     if fades and ratio < 1.0:
@@ -176,8 +178,8 @@ def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float
 class Stretch:
     """A stretch of a tail: the flights after impacts ``first`` to ``last``.
 
-    An infinite ``last`` is the limit. ``begin`` and ``end`` are the fractions of each flight that
-    it covers.
+    An infinite ``last`` is the limit. Of each flight, the stretch covers the part between the
+    fractions ``begin`` and ``end`` of its duration.
     """
 
     tail: Tail
@@ -212,7 +214,7 @@ class Stretch:
         return max(lands - leaves for *_, leaves, lands in self._shown[:-2])
 
     def halves(self) -> list[Stretch]:
-        """Two stretches of about half the duration; of a single flight, its two halves."""
+        """Two stretches of about half the duration; for a single flight, its two halves."""
         if self.first == self.last:
             middle = 0.5 * (self.begin + self.end)
             return [attrs.evolve(self, end=middle), attrs.evolve(self, begin=middle)]
@@ -221,7 +223,8 @@ class Stretch:
 
 
 def _bounded(tail: Tail, excess: float) -> bool:
-    """Whether acceleration and restitution in boxes along the tail agree with points."""
+    """Whether bounds on acceleration and restitution in boxes along the tail agree, up to
+    ``excess``, with the values at points."""
     if find_spec("flint") is None:
         return True
     try:
@@ -238,6 +241,7 @@ def _bounded(tail: Tail, excess: float) -> bool:
 
 
 def _fits(look: _Look, stretch: Stretch, excess: float) -> bool:
+    """Whether the bounds on a stretch agree with the values at its points."""
     box = look.given | stretch.box()
     if not look.keeps(box):
         return False
@@ -265,7 +269,8 @@ def _fits(look: _Look, stretch: Stretch, excess: float) -> bool:
 def _steady(
     look: _Look, stretch: Stretch, low: Any, high: Any, excess: float, small: float
 ) -> bool:
-    """Whether the last rate is small, or agrees with its values at the points up to an excess."""
+    """Whether the highest time derivative of the acceleration, between ``low`` and ``high``, is at
+    most ``small``, or agrees with its values at the points up to an excess."""
     if _within(low, high, -small, small):
         return True
     rates = [look.rate(*point) for point in stretch.points]
@@ -280,13 +285,14 @@ def _within(low: Any, high: Any, least: float, most: float) -> bool:
 
 @attrs.frozen(eq=False)
 class _Look:
-    """What is enclosed along a tail, as balls.
+    """The functions that are bounded along a tail.
 
     These are the gap's acceleration, the accelerations of deciding functions, the restitution, and
-    the last rate of the gap's acceleration. Where gap or flow change their formula at the impacts,
-    the formula on the flights' side is used (for a distance ``|x|``, the one at zero), since balls
-    around that place contain both sides. The accelerations of the deciding functions must then also
-    agree with their values at points, so that none of them changes sign in between.
+    the highest time derivative of the gap's acceleration. Where gap or flow change their formula at
+    the impacts, the formula that holds in the flights is used (for a distance ``|x|``, the one at
+    zero), since balls around the impact contain both sides. The accelerations of the deciding
+    functions must then also agree with their values at points, so that none of them changes sign in
+    between.
     """
 
     program: Any
@@ -297,10 +303,10 @@ class _Look:
 
 
 def bounded(field: Field, contact: Contact) -> tuple[bool, Any]:
-    """Whether a restitution is not constant, and what is bounded in doubles along its tails.
+    """Whether a contact's restitution is not constant, and the functions to bound along its tails.
 
     The second value is an :class:`.IntervalProgram`, the rows of a box that are its inputs, and the
-    values of the other inputs. It is ``NONE`` if nothing can be bounded, ``HARD`` if deciding
+    values of its other inputs. It is ``NONE`` if nothing can be bounded, ``HARD`` if deciding
     functions require ball arithmetic.
     """
     return _depends(field, contact.name), _ranged(field, contact)
@@ -383,9 +389,9 @@ class _Gap:
         return [int(i) for i in found.reshape(-1)]
 
     def keeps(self, ends: list[float], box: dict[str, Any]) -> bool:
-        """Whether the deciding functions that are not zero at the limit have their sign there all
-        over a box. One that has not changes in some of the flights, which the others do not show,
-        however little that changes the flow."""
+        """Whether each deciding function that is not zero at the limit keeps, all over a box, its
+        sign at the limit. If it does not, the formula may change in some flights only, and sampled
+        flights need not show that."""
         if self.deciding is None:
             return True
         found = self.deciding.enclose(box)
@@ -396,8 +402,8 @@ class _Gap:
         )
 
     def signs(self, tail: Tail) -> tuple[list[float], dict[int, int]]:
-        """The signs of the deciding functions at the limit; of those that are zero there, the signs
-        in all flights."""
+        """The signs of the deciding functions at the limit; and, by node, the sign in all flights
+        of each function that is zero at the limit."""
         if self.deciding is None:
             return [], {}
         given = named("p", flat(tail.field.parameters))
@@ -414,7 +420,7 @@ class _Gap:
         return np.nan_to_num(last).tolist(), known
 
     def guards(self, field: Field, contact: str) -> list[int]:
-        """The guards other than the contact's; empty if one of them has no bounds."""
+        """The nodes of the guards other than the contact's; empty if one has no bounds."""
         from ..bounds.interval import IntervalProgram
 
         others = [guard for guard in field.guards if guard.edge != contact]
@@ -426,7 +432,8 @@ class _Gap:
         return found
 
     def program(self, signs: dict[int, int], *others: int) -> Any:
-        """The program of what is enclosed, for given signs, followed by ``others``."""
+        """The program of the functions to bound, for given signs of the deciding functions that are
+        zero at the limit; then the nodes ``others``."""
         from ..bounds.interval import IntervalProgram
 
         graph, count = self.graph, 1 + len(self.flow)
@@ -441,4 +448,5 @@ class _Gap:
 
 
 def named(letter: str, values: Iterable[Any]) -> dict[str, Any]:
+    """Values by the names of a graph's inputs: ``x0``, ``x1``, ..."""
     return {f"{letter}{i}": value for i, value in enumerate(values)}

@@ -1,7 +1,7 @@
 """Bounds on the guards of other edges over boxes that contain a motion.
 
-A sum of impacts, or the limit of a cycle, stands for infinitely many flights along which nothing is
-watched. Bounds over boxes that contain all of them catch any event, however brief.
+A sum of impacts, or the limit of a cycle, stands for infinitely many flights along which no guard
+is watched. Bounds over boxes that contain all flights find any zero of a guard, however brief.
 """
 
 from __future__ import annotations
@@ -24,16 +24,17 @@ if TYPE_CHECKING:
     from ..lowering import Field
 
 
-#: How often a tail is halved, at most, in search of zeros of other guards: some four times to one
-#: flight, and that to a thirty-second. (With seven times more a pile of two balls took twenty times
-#: as long: near a guard that is zero at the limit, many parts are undecided until then.)
+#: How often a tail is halved, at most, in search of zeros of other guards: some four halvings lead
+#: to single flights, and the others to 1/32 of a flight. (With seven halvings more, a pile of two
+#: balls took twenty times as long: near a guard that is zero at the limit, many parts stay
+#: undecided.)
 OTHERS_HALVINGS = 9
 
 
 def apart(tail: Tail) -> bool:
-    """Whether no other guard is zero between the first impact and the limit, as far as bounds show.
+    """Whether bounds show that no other guard is zero between the first impact and the limit.
 
-    A guard that is zero at the limit is bounded up to the last flights only.
+    A guard that is zero at the limit is not bounded in the last flights.
     """
     field, t_inf, x_inf = tail.field, tail.t + tail.remaining, tail.x_inf.tolist()
     others = [i for i in range(len(field.guards)) if i != tail.column]
@@ -69,7 +70,7 @@ def hull(points: np.ndarray, wider: float) -> dict[str, Any]:
 
 
 def _looks(field: Field) -> list[Any]:
-    """The interval program of each guard of a field; None if there are no bounds."""
+    """The interval program of each guard of a field; None for a guard without bounds."""
     if find_spec("flint") is None:
         return [None] * len(field.guards)
     from ..bounds.interval import IntervalProgram
