@@ -614,7 +614,7 @@ def test_after_infinitely_many_impacts_others_follow_at_the_same_instant(way, n,
     np.testing.assert_allclose(result.final.v, 1.0 / n, rtol=1e-11)
 
 
-@pytest.mark.parametrize(("n", "r"), [(4, 0.1), (5, 0.1), (12, 0.3)])
+@pytest.mark.parametrize(("n", "r"), [(4, 0.1), (5, 0.1), (12, 0.1)])
 def test_a_column_that_falls_collapses_bead_by_bead(way, n, r):
     """The last bead strikes a heap at rest, and all impacts that follow happen as it lands: gaps
     are crossed in less time than can be told, each after infinitely many impacts below it."""
