@@ -246,6 +246,17 @@ class Field:
             return None
         return program.bind(self.numbers)
 
+    @cached_property
+    def values(self) -> Jets | None:
+        """The flow as a program of values, along a polynomial of the state that is given; None if
+        an operation has none."""
+        graph, held = self.code.mode(self.mode), bool(self.held)
+        try:
+            found = graph.of_values(("flow", held), lambda: graph.flow(held))
+        except TraceError:
+            return None
+        return found.bind(self.numbers)
+
     def expand(self, t: float, x: list[float], sides: list[int]) -> Any:
         """Taylor coefficients of the states, the guards and the watched functions.
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 
 from .arrays import AutomatonArrays, Floats, Now, Room
-from .checks import HELD_BEFORE, HELD_INSIDE, MISSED, ROUNDING_BESIDE, along, decided, second
+from .checks import HELD_BEFORE, HELD_INSIDE, MISSED, ROUNDING_BESIDE, along, second
+from .formulas import EXPANDED_PARTS, formula
 from .jets import OUTPUT, afresh
-from .kinks import count, expanded, first_change, holding, turn
-from .lengths import CONVERGED, LAST_TERMS, SHORTEST_CUT, behind, own_length
+from .kinks import count, expanded, turn
+from .lengths import CONVERGED, LAST_TERMS, behind, own_length
 from .places import (
     ABSOLUTE,
     AFFINE,
@@ -61,10 +62,6 @@ GUARD_ROUNDING = 64.0
 #: Events this near in time, in spacings of floats, are at one time; those looked at for that lie
 #: this near in the step, as landing may move the first by as much.
 TIE, TIED_IN_STEP = 4.0, 1e-6
-
-#: Most parts of another solver's step in which guards are expanded: such steps may be long against
-#: the time in which a guard changes.
-EXPANDED_PARTS = 64
 
 #: The rounding of a guard along a step is told from its terms up to this power.
 TELLING = 2
@@ -361,7 +358,7 @@ def foreseen(
         if not max(behind(room.c[i], h), abs(value - now.end[i]) / AGREES) <= allowed:
             return -1, 0.0
     reach = reached(run, now, h)
-    same, _ = formula(a, room, series_of(a, now), t, reach)
+    same, _ = formula(a.programs, series_of(a, now), t, reach, room)
     if same != reach or resolved(a, run, now, room, t, reach, False) != reach:
         return -1, 0.0
     if not (starting or continues(a, now, room)):
@@ -420,7 +417,7 @@ def event_along(
             return -1, 0.0
         if crossed >= 0 and not goes_on(a, now, room, program, t + done, room.there):
             return -1, 0.0
-        same, crossed = formula(a, room, program, t + done, reach - done)
+        same, crossed = formula(a.programs, program, t + done, reach - done, room)
         shown = resolved(a, run, now, room, t + done, same, crossed >= 0)
         if not shown > 0.0:
             return -1, 0.0
@@ -435,23 +432,6 @@ def event_along(
             shift(room.c[i], shown)
         done += shown
     return -1, 0.0
-
-
-def formula(a: AutomatonArrays, room: Room, program: int, t: float, h: float) -> tuple[float, int]:
-    """How far series keep the formula with which they begin, and the kink that ends that, as
-    :func:`.kinks.first_change` says; at 0 where what is watched does not follow its series."""
-    p, shortest, crossed = a.programs, SHORTEST_CUT * h, -1
-    if count(p, program) == 0:
-        return h, -1
-    h = min(h, holding(p, program, room.c))
-    while h > shortest:
-        h, crossed = first_change(p, program, t, h, room.sides, room.c, room.rows, room.found)
-        if decided(
-            p, program, t, h, crossed >= 0, room.sides, room.c, room.aside, room.work, room.there
-        ):
-            return h, crossed
-        h *= 0.5
-    return 0.0, -1
 
 
 def keeps(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:

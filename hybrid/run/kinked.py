@@ -15,17 +15,25 @@ import numpy as np
 
 from ..events import SHARES, Cut, among, cuts
 from ..lowering import Field, Kink
+from ..lowering.lowered import ORDER
+from ..rules import unit
+from ..rules.formulas import UNDECIDED_CHANGE
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from .entry import MOVES, beyond_kinks
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import StateVector
+    from ..automaton.shapes import Matrix, StateVector
+    from ..lowering.tape import Jets
 
 #: The share of the way to a kink that is left before it is looked for again, and the share of a
 #: step that is gone along a straight line, whose error is the square of this.
-CLOSER, STRAIGHT = 0.999, 1e-8
+CLOSER, STRAIGHT = 1.0 - 1e-4, 1e-8
+
+#: So much further than the first change of a formula, as a share of the way, the functions that
+#: decide on it have changed their signs.
+PAST_CHANGE = 1e-6
 
 #: Times and states within so many roundings are not told apart.
 SPACINGS = 16
@@ -56,6 +64,21 @@ def begin(
     return KinkedStepper(solver, field, changes, (t, x, length, first_step, sizes))
 
 
+class _Along:
+    """Where a flow changes its formula along a polynomial of the state, by the compiled rule."""
+
+    def __init__(self, values: Jets) -> None:
+        self.program, self.room, self.rule = values.alone, values.room(ORDER), unit("formulas")
+
+    def change(self, t: float, start: float, length: float, powers: Matrix) -> float:
+        """The distance of the first change from the start of a step, of which the polynomial is
+        given by powers of the share of its length (see :func:`.formulas.change`)."""
+        count, c = powers.shape[1], self.room.c
+        c[: len(powers), :count] = powers / length ** np.arange(count)
+        c[: len(powers), count:] = 0.0
+        return float(self.rule.change(self.program, 0, t + start, length, self.room))
+
+
 class KinkedStepper(Stepper):
     """Steps of a solver, started anew where the flow changes its formula.
 
@@ -76,6 +99,7 @@ class KinkedStepper(Stepper):
         self.solver, self.field, self.changes = solver, field, changes
         self.t0, self.x, self.length, self.first, self.sizes = start
         self.tau, self.seen = 0.0, 0.0
+        self.along = None if field.values is None else _Along(field.values)
         self._begin(self.length)
         self.repeats = self.inner.repeats
 
@@ -85,7 +109,12 @@ class KinkedStepper(Stepper):
         first = None if self.first is None else min(self.first, left)
         self.inner = self.solver.begin(self.field, t, x, left, first, self.sizes)
         self.offset, self.bound, self.passed = self.tau, bound, False
-        self.signs: dict[Any, float] = {k.edge: k.value(t, x.tolist()) for k in self.changes}
+        self.signs = self._values(t, x)
+
+    def _values(self, t: float, x: StateVector) -> dict[Any, float]:
+        """The values of the deciding functions, by their keys."""
+        state = x.tolist()
+        return {kink.edge: kink.value(t, state) for kink in self.changes}
 
     def step(self, limit: float) -> None:
         if self.passed or self.tau >= self.bound:
@@ -130,11 +159,27 @@ class KinkedStepper(Stepper):
         """The first place in a step at which a deciding function changes its sign."""
         t, scale = self.t0 + self.offset, self.length / SHARES
         found, places = list[Cut](), list[Cut]()
-        for kink in self.changes:  # one that jumps does so where others change, which come before
+        for kink in self._crossed(own):
+            # one that jumps does so where others change, which come before
             noise, others = self._noise(kink, own), [] if kink.affine else places
             new = list(cuts(kink, own, t, scale, self.signs, noise, others))
             found, places = [*found, *new[:1]], among(places, new)
         return min(found, key=lambda cut: cut.before, default=None)
+
+    def _crossed(self, own: Segment) -> list[Kink]:
+        """The deciding functions of which one may be the first to change its sign in a step: those
+        that have changed it beyond the first change of the formula. All, where that is not told."""
+        since, reach = self.t0 + self.offset, UNDECIDED_CHANGE
+        if self.along is not None:
+            reach = self.along.change(since, *self.inner.powers())
+        if reach == UNDECIDED_CHANGE:
+            return self.changes
+        end = own.start + min(reach * (1.0 + PAST_CHANGE), own.length)
+        before, after = self.signs, self._values(since + end, own(end))
+        crossed = [k for k in self.changes if not before[k.edge] * after[k.edge] > 0.0]
+        if reach == np.inf and not crossed:
+            self.signs = after
+        return crossed if crossed or reach == np.inf else self.changes
 
     def _next_to(self, own: Segment) -> Cut | None:
         """The place of the kink, where the method's own steps close in on it and become as short as
