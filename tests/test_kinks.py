@@ -91,3 +91,23 @@ def test_kinked_arcs_are_flown_in_the_loop(monkeypatch):
         arcs += len(hy.simulate(*bent(seed, False), solver="scipy", rtol=1e-10).arcs)
     assert arcs > 150
     assert len(flown) < 0.3 * arcs
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("drift", [0.0, 1.0, 2.0])
+def test_a_flow_that_leads_back_to_its_jump_is_refused(solver, drift):
+    """From 0.057 the product ``x v`` falls to where the flow jumps, and rises beyond. With a drift
+    it would fall again, without ever having been on the side of that formula."""
+
+    class Back(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+
+        @hy.mode
+        def only(self, t, s):
+            push = jnp.where(s.x * s.v < 0.05697, 0.622, 0.0)
+            return s.v, -0.64 + drift * (1.40354 - t) + push
+
+    start = {"x": 0.45435775, "v": 0.12754117}
+    with pytest.raises(hy.FlowError, match="leads back to the jump from both sides"):
+        hy.simulate(Back(), start, (1.4, 1.5), solver=solver)

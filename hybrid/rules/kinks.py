@@ -148,7 +148,7 @@ def first_change(
     """How far a step may go with the formula with which it begins, and the kink that ends it.
 
     The kink is -1 if none is reached, though one may be near. The length is NaN if a watched series
-    is not finite.
+    is not finite, and 0 where the flow beyond a kink leads back to it.
     """
     chosen = -1
     first = p.index[program, KINKS]
@@ -157,6 +157,8 @@ def first_change(
         start = c[row, 0]
         level = _level(p, first + i, start, EXP_CHANGE * (c.shape[1] - 1))
         if not math.isnan(level):
+            if sides[i] != 0 and _leads_back(c[row], sides[i], t, h):
+                return 0.0, -1
             c[row, 0] = start - level
             begin = 1 if sides[i] != 0 else 0
             zero, reached = _first_zero(c[row, begin:], t, h, sides[i], rows, found)
@@ -167,6 +169,22 @@ def first_change(
                 h = zero
                 chosen = i if reached and p.kinks[first + i, SWITCHES] == 1 else -1
     return h, chosen
+
+
+def _leads_back(c: Floats, side: int, t: float, h: float) -> bool:
+    """Whether a function that has just crossed zero to one side goes to the other, by more than
+    rounding of its terms and of the time: it may come again to the side to which it has crossed."""
+    if not side * c[1] < 0.0:
+        return False
+    order, least = c.shape[0] - 1, ZERO_SPACINGS * EPS * abs(t)
+    s = h
+    while s > least:
+        rise, _ = power_value(c, 1, order, s)
+        noise = KINK_BLUR * power_size(c, 1, order, s) + abs(c[1]) * least + 2.0 * abs(c[0])
+        if side * rise < -noise:
+            return True
+        s *= 0.5
+    return False
 
 
 def _level(p: Programs, kink: int, value: float, change: float) -> float:

@@ -122,6 +122,8 @@ def _length(
             least = SHORTEST_CUT * h
         if math.isnan(h):
             return NOT_FINITE, h, -1
+        if h == 0.0:
+            return NO_STEP, h, -1
         if crossed >= 0 and h <= SIDE_BLUR * abs(t):
             return 0, h, crossed
         rounded = (tau + h) - tau  # as the time will be
