@@ -296,3 +296,25 @@ def test_rests_of_bodies_apart_are_made_one_by_one():
     keys = [key for key in scene_of(Rain()).code._programs if isinstance(key, tuple)]
     assert {len(names) for what, names, *_ in keys if what == "load closed"} == {1}
     assert sum(key[0] == "diffrax" for key in keys) == 2
+
+
+def test_impacts_at_one_instant_end_where_floats_do(solver):
+    """Two beads as one strike a floor, with less and less speed and no time between, while a force
+    lifts them: no sum is asked for again and again of the slowest speed that a double can be."""
+
+    class Lifted(hy.Automaton):
+        x = hy.state(shape=(2,))
+        v = hy.state(shape=(2,))
+
+        @hy.mode
+        def free(self, t, s):
+            return s.v, jnp.ones(2)
+
+        floor = hy.contact(
+            free, gap=lambda self, t, s: s.x[0], restitution=lambda self, t, s, u: 0.25 / (1 - u)
+        )
+        pair = hy.contact(free, gap=lambda self, t, s: s.x[1] - s.x[0], restitution=0.0)
+
+    run = hy.simulate(Lifted(), {"x": np.zeros(2), "v": [0.0, -1.0]}, (0.0, 1.0), **solver)
+    assert (run.mode, set(run.jumps.t)) == ("free.rest(pair)", {0.0})
+    np.testing.assert_allclose(run.final.x, 0.5, rtol=1e-8)  # t^2 / 2, to the solver's tolerance
