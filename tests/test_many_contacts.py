@@ -317,4 +317,32 @@ def test_impacts_at_one_instant_end_where_floats_do(solver):
 
     run = hy.simulate(Lifted(), {"x": np.zeros(2), "v": [0.0, -1.0]}, (0.0, 1.0), **solver)
     assert (run.mode, set(run.jumps.t)) == ("free.rest(pair)", {0.0})
+    assert len(run.jumps) < 100  # each halves the speed, or more: 2^-46 is rounding of the first
     np.testing.assert_allclose(run.final.x, 0.5, rtol=1e-8)  # t^2 / 2, to the solver's tolerance
+
+
+def test_a_body_wedged_in_a_corner_stops_and_leaves_it(solver):
+    """Thrown into a corner it strikes both sides with no time between, ever more slowly; once its
+    speed is rounding of the first it is at rest on the floor, and the wind blows it out again."""
+
+    class Corner(hy.Automaton):
+        x, y, vx, vy = hy.state(), hy.state(), hy.state(), hy.state()
+
+        @hy.mode
+        def free(self, t, s):
+            return s.vx, s.vy, 1.0, -1.0
+
+        floor = hy.contact(
+            free, gap=lambda self, t, s: s.y, restitution=lambda self, t, s, u: 0.3 / (1 - u)
+        )
+        roof = hy.contact(
+            free,
+            gap=lambda self, t, s: 0.3 * s.x - s.y,
+            restitution=lambda self, t, s, u: 0.4 / (1 - u),
+        )
+
+    start = {"x": 0.0, "y": 0.0, "vx": -1.0, "vy": 0.0}
+    run = hy.simulate(Corner(), start, (0.0, 1.0), **solver)
+    assert (run.mode, set(run.jumps.t)) == ("free.rest(floor)", {0.0})
+    assert len(run.jumps) < 400  # a turn of two keeps 0.82: 2^-46 after 160, a double's least 3,700
+    np.testing.assert_allclose(run.final, [0.5, 0.0, 1.0, 0.0], atol=1e-8)  # the tolerance
