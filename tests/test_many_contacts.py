@@ -346,3 +346,31 @@ def test_a_body_wedged_in_a_corner_stops_and_leaves_it(solver):
     assert (run.mode, set(run.jumps.t)) == ("free.rest(floor)", {0.0})
     assert len(run.jumps) < 400  # a turn of two keeps 0.82: 2^-46 after 160, a double's least 3,700
     np.testing.assert_allclose(run.final, [0.5, 0.0, 1.0, 0.0], atol=1e-8)  # the tolerance
+
+
+@pytest.mark.parametrize("height", [0.07, 0.13, 0.26])
+def test_a_contact_struck_at_an_instant_stays_closed_there(height, solver):
+    """The floor, declared first, is struck again before the wall, though the impact of the discs
+    has moved the first of them off it by the rounding of their distance."""
+
+    class Discs(hy.Automaton):
+        q = hy.state(shape=(4,))
+        v = hy.state(shape=(4,))
+
+        @hy.mode
+        def free(self, t, s):
+            return s.v, jnp.array([0.0, -1.0, 0.0, -1.0])
+
+        floor = hy.contact(free, gap=lambda self, t, s: s.q[1], restitution=0.5)
+        pair = hy.contact(
+            free,
+            gap=lambda self, t, s: jnp.hypot(s.q[0] - s.q[2], s.q[1] - s.q[3]) - 0.5,
+            restitution=0.5,
+        )
+        wall = hy.contact(free, gap=lambda self, t, s: 2.0 - s.q[2], restitution=0.5)
+
+    q = [2.0 - np.sqrt(0.25 - height * height), 0.0, 2.0, height]
+    start = {"q": q, "v": [1.0, -0.1, 0.0, 0.0]}
+    run = hy.simulate(Discs(), start, (0.0, 0.1), **solver)
+    assert list(run.jumps.edge[:4]) == ["floor", "pair", "floor", "wall"]
+    assert not run.jumps.t[:4].any()

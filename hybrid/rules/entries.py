@@ -105,6 +105,8 @@ def start_of(
     urgent = a.guards[guard, URGENT] == 1
     outside = (bounds or urgent) and c[0] * crossing > 0.0
     beyond = before != 0 or outside  # rounding, of a guard that is large
+    if kind == CONTACT and spent and abs(c[0]) <= GUARD_ROUNDING * EPS * reach:
+        least = max(least, 1)  # another impact at this time has moved it by rounding
     if before != 0:  # it was zero, but for what steps have lost
         value, _, hides = hidden_of(a, run, now, room, guard, t, 0.0)
         least = max(least, 1) if abs(value) <= hides else least
