@@ -278,8 +278,8 @@ def start(
     high : float
         The same sum at the largest states seen; not used for a gap that clearly moves.
     fast : float
-        The same for the rate of a gap; infinite for other guards. A gap that closes no faster than
-        this rounds does not close: impacts at one instant slow down until they do.
+        The same for the rate of a gap; infinite for other guards. A gap that a force opens does not
+        close at a speed that is rounding of this: impacts at one instant slow down until it is.
     least : int
         The least power by which it is known to vanish.
     out : int
@@ -294,7 +294,7 @@ def start(
     back = c[2] if slope * out > 0.0 > c[2] * out else 0.0
     if abs(back) > GUARD_ROUNDING * EPS * bend and slope * slope <= 4.0 * abs(back) * noise:
         return 2, -out
-    rate = fast if c[1] < 0.0 and fast < math.inf else rate
+    rate = fast if c[1] < 0.0 < c[2] and fast < math.inf else rate
     for k in range(max(least, 1), min(HIGHER, c.shape[0])):
         if abs(c[k]) > GUARD_ROUNDING * EPS * (rate if k == 1 else bend):
             return k, 1 if c[k] > 0.0 else -1
