@@ -296,3 +296,81 @@ def test_rests_of_bodies_apart_are_made_one_by_one():
     keys = [key for key in scene_of(Rain()).code._programs if isinstance(key, tuple)]
     assert {len(names) for what, names, *_ in keys if what == "load closed"} == {1}
     assert sum(key[0] == "diffrax" for key in keys) == 2
+
+
+def test_impacts_at_one_instant_end_where_floats_do(solver):
+    """Two beads as one strike a floor, with less and less speed and no time between, while a force
+    lifts them: no sum is asked for again and again of the slowest speed that a double can be."""
+
+    class Lifted(hy.Automaton):
+        x = hy.state(shape=(2,))
+        v = hy.state(shape=(2,))
+
+        @hy.mode
+        def free(self, t, s):
+            return s.v, jnp.ones(2)
+
+        floor = hy.contact(
+            free, gap=lambda self, t, s: s.x[0], restitution=lambda self, t, s, u: 0.25 / (1 - u)
+        )
+        pair = hy.contact(free, gap=lambda self, t, s: s.x[1] - s.x[0], restitution=0.0)
+
+    run = hy.simulate(Lifted(), {"x": np.zeros(2), "v": [0.0, -1.0]}, (0.0, 1.0), **solver)
+    assert (run.mode, set(run.jumps.t)) == ("free.rest(pair)", {0.0})
+    assert len(run.jumps) < 100  # each halves the speed, or more: 2^-46 is rounding of the first
+    np.testing.assert_allclose(run.final.x, 0.5, rtol=1e-8)  # t^2 / 2, to the solver's tolerance
+
+
+def test_a_body_wedged_in_a_corner_stops_and_leaves_it(solver):
+    """Thrown into a corner it strikes both sides with no time between, ever more slowly; once its
+    speed is rounding of the first it is at rest on the floor, and the wind blows it out again."""
+
+    class Corner(hy.Automaton):
+        x, y, vx, vy = hy.state(), hy.state(), hy.state(), hy.state()
+
+        @hy.mode
+        def free(self, t, s):
+            return s.vx, s.vy, 1.0, -1.0
+
+        floor = hy.contact(
+            free, gap=lambda self, t, s: s.y, restitution=lambda self, t, s, u: 0.3 / (1 - u)
+        )
+        roof = hy.contact(
+            free,
+            gap=lambda self, t, s: 0.3 * s.x - s.y,
+            restitution=lambda self, t, s, u: 0.4 / (1 - u),
+        )
+
+    start = {"x": 0.0, "y": 0.0, "vx": -1.0, "vy": 0.0}
+    run = hy.simulate(Corner(), start, (0.0, 1.0), **solver)
+    assert (run.mode, set(run.jumps.t)) == ("free.rest(floor)", {0.0})
+    assert len(run.jumps) < 400  # a turn of two keeps 0.82: 2^-46 after 160, a double's least 3,700
+    np.testing.assert_allclose(run.final, [0.5, 0.0, 1.0, 0.0], atol=1e-8)  # the tolerance
+
+
+@pytest.mark.parametrize("height", [0.07, 0.13, 0.26])
+def test_a_contact_struck_at_an_instant_stays_closed_there(height, solver):
+    """The floor, declared first, is struck again before the wall, though the impact of the discs
+    has moved the first of them off it by the rounding of their distance."""
+
+    class Discs(hy.Automaton):
+        q = hy.state(shape=(4,))
+        v = hy.state(shape=(4,))
+
+        @hy.mode
+        def free(self, t, s):
+            return s.v, jnp.array([0.0, -1.0, 0.0, -1.0])
+
+        floor = hy.contact(free, gap=lambda self, t, s: s.q[1], restitution=0.5)
+        pair = hy.contact(
+            free,
+            gap=lambda self, t, s: jnp.hypot(s.q[0] - s.q[2], s.q[1] - s.q[3]) - 0.5,
+            restitution=0.5,
+        )
+        wall = hy.contact(free, gap=lambda self, t, s: 2.0 - s.q[2], restitution=0.5)
+
+    q = [2.0 - np.sqrt(0.25 - height * height), 0.0, 2.0, height]
+    start = {"q": q, "v": [1.0, -0.1, 0.0, 0.0]}
+    run = hy.simulate(Discs(), start, (0.0, 0.1), **solver)
+    assert list(run.jumps.edge[:4]) == ["floor", "pair", "floor", "wall"]
+    assert not run.jumps.t[:4].any()

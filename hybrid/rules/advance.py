@@ -252,7 +252,7 @@ def impact(
     count = now.ints[IMPACT_COUNT] + 1 if own == now.ints[SERIES] else 1
     tried = now.floats[TRIED] if count > 1 else math.inf
     alike = speed > 0.0 and field == now.ints[FIELD]
-    if alike and count >= run[FIRST_SUMMED] and speed <= run[SPEED_FALL] * tried:
+    if alike and count >= run[FIRST_SUMMED] and speed < run[SPEED_FALL] * tried:
         return SUM, field
     flow, size = a.fields[field, FIELD_PROGRAM], so_far(now, behind)
     guard = twin(a, field, own)

@@ -105,6 +105,8 @@ def start_of(
     urgent = a.guards[guard, URGENT] == 1
     outside = (bounds or urgent) and c[0] * crossing > 0.0
     beyond = before != 0 or outside  # rounding, of a guard that is large
+    if kind == CONTACT and spent and abs(c[0]) <= GUARD_ROUNDING * EPS * reach:
+        least = max(least, 1)  # another impact at this time has moved it by rounding
     if before != 0:  # it was zero, but for what steps have lost
         value, _, hides = hidden_of(a, run, now, room, guard, t, 0.0)
         least = max(least, 1) if abs(value) <= hides else least
@@ -114,7 +116,7 @@ def start_of(
         high, fast = 0.0, math.inf
         if not math.isfinite(c[0]) or not size < math.inf:
             return 0, HARD
-        if kind == CONTACT and least == 0:
+        if kind == CONTACT and (least == 0 or c[1] < 0.0):
             high, fast, _ = sizes_of(a, room, guard, t, now.seen)
             high = max(size, high) if high < math.inf else size
             fast = max(rate, fast) if fast < math.inf else rate
@@ -276,7 +278,8 @@ def start(
     high : float
         The same sum at the largest states seen; not used for a gap that clearly moves.
     fast : float
-        The same for the rate of a gap; infinite for other guards.
+        The same for the rate of a gap; infinite for other guards. A gap that a force opens does not
+        close at a speed that is rounding of this: impacts at one instant slow down until it is.
     least : int
         The least power by which it is known to vanish.
     out : int
@@ -291,6 +294,7 @@ def start(
     back = c[2] if slope * out > 0.0 > c[2] * out else 0.0
     if abs(back) > GUARD_ROUNDING * EPS * bend and slope * slope <= 4.0 * abs(back) * noise:
         return 2, -out
+    rate = fast if c[1] < 0.0 < c[2] and fast < math.inf else rate
     for k in range(max(least, 1), min(HIGHER, c.shape[0])):
         if abs(c[k]) > GUARD_ROUNDING * EPS * (rate if k == 1 else bend):
             return k, 1 if c[k] > 0.0 else -1

@@ -490,6 +490,9 @@ class _Here:
         if guard.kind == "contact" and -self.lost(guard) <= value <= 0:
             least = max(least, 1)
         least = max(least, 1) if guard.edge in jumped.close else least
+        if guard.kind == "contact" and guard.edge in jumped.spent:
+            noise = GUARD_ROUNDING * EPS * max(self.reach, float(np.abs(x).max()))
+            least = max(least, 1) if abs(value) <= noise else least
         beyond = (guard.bounds or guard.urgent) and value * DIRECTIONS[guard.crossing] > 0
         known = least or beyond or guard.edge in jumped.tied
         far = not known and unit("entries").far(value, max(self.reach, float(np.abs(x).max())))
