@@ -17,7 +17,6 @@ from ..events import SHARES, Cut, among, cuts
 from ..lowering import Field, Kink
 from ..lowering.lowered import ORDER
 from ..rules import unit
-from ..rules.formulas import UNDECIDED_CHANGE
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
@@ -30,10 +29,6 @@ if TYPE_CHECKING:
 #: The share of the way to a kink that is left before it is looked for again, and the share of a
 #: step that is gone along a straight line, whose error is the square of this.
 CLOSER, STRAIGHT = 1.0 - 1e-4, 1e-8
-
-#: So much further than the first change of a formula, as a share of the way, the functions that
-#: decide on it have changed their signs.
-PAST_CHANGE = 1e-6
 
 #: Times and states within so many roundings are not told apart.
 SPACINGS = 16
@@ -157,29 +152,27 @@ class KinkedStepper(Stepper):
 
     def _first_cut(self, own: Segment) -> Cut | None:
         """The first place in a step at which a deciding function changes its sign."""
+        if self._keeps_formula(own):
+            return None
         t, scale = self.t0 + self.offset, self.length / SHARES
         found, places = list[Cut](), list[Cut]()
-        for kink in self._crossed(own):
-            # one that jumps does so where others change, which come before
+        for kink in self.changes:  # one that jumps does so where others change, which come before
             noise, others = self._noise(kink, own), [] if kink.affine else places
             new = list(cuts(kink, own, t, scale, self.signs, noise, others))
             found, places = [*found, *new[:1]], among(places, new)
         return min(found, key=lambda cut: cut.before, default=None)
 
-    def _crossed(self, own: Segment) -> list[Kink]:
-        """The deciding functions of which one may be the first to change its sign in a step: those
-        that have changed it beyond the first change of the formula. All, where that is not told."""
-        since, reach = self.t0 + self.offset, UNDECIDED_CHANGE
-        if self.along is not None:
-            reach = self.along.change(since, *self.inner.powers())
-        if reach == UNDECIDED_CHANGE:
-            return self.changes
-        end = own.start + min(reach * (1.0 + PAST_CHANGE), own.length)
-        before, after = self.signs, self._values(since + end, own(end))
-        crossed = [k for k in self.changes if not before[k.edge] * after[k.edge] > 0.0]
-        if reach == np.inf and not crossed:
-            self.signs = after
-        return crossed if crossed or reach == np.inf else self.changes
+    def _keeps_formula(self, own: Segment) -> bool:
+        """Whether the compiled rule shows that the flow keeps its formula along a step, at the end
+        of which no deciding function has another sign."""
+        since = self.t0 + self.offset
+        if self.along is None or self.along.change(since, *self.inner.powers()) < np.inf:
+            return False
+        before, after = self.signs, self._values(since + own.end, own(own.end))
+        if not all(before[kink.edge] * after[kink.edge] > 0.0 for kink in self.changes):
+            return False
+        self.signs = after
+        return True
 
     def _next_to(self, own: Segment) -> Cut | None:
         """The place of the kink, where the method's own steps close in on it and become as short as
