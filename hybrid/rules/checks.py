@@ -22,9 +22,10 @@ __all__ = ("arrives", "bends", "decided", "follows")
 #: before it); and the allowed difference, as a multiple of rounding.
 HELD_INSIDE, HELD_BEFORE, MISSED = 0.55, 1.0 - 1e-9, 256.0
 
-#: Roundings by which the elements of a state, and the time, are moved to measure rounding.
-SHIFTS = (8, -8, 11, -11, 14, -14)
-SHIFT = 8
+#: Roundings by which the elements of a state, and the time, are moved to measure rounding: by
+#: different amounts, so that it shows in sums, differences, products and quotients of any two.
+SHIFTS = (8, -13, 11, -16, 14, -19, 17)
+SHIFT = -10
 
 #: An element of the state counts as no smaller than this share of the largest.
 SMALLEST = 1e-3
@@ -211,7 +212,7 @@ def beside(t: float, point: Floats) -> float:
     """Move a state, each element by another amount, and a time by a few roundings: what changes by
     that is not known more accurately."""
     for i in range(point.shape[0]):
-        point[i] *= 1.0 + SHIFTS[i % 6] * EPS
+        point[i] *= 1.0 + SHIFTS[i % 7] * EPS
     return t * (1.0 + SHIFT * EPS)
 
 
