@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..errors import FlowError
 from ..events import SHARES, Cut, among, cuts
 from ..lowering import Field, Kink
 from ..lowering.lowered import ORDER
@@ -20,15 +21,20 @@ from ..rules import unit
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
+from ..solvers.base import LEADS_BACK
 from .entry import MOVES, beyond_kinks
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, StateVector
     from ..lowering.tape import Jets
 
-#: The share of the way to a kink that is left before it is looked for again, and the share of a
-#: step that is gone along a straight line, whose error is the square of this.
-CLOSER, STRAIGHT = 1.0 - 1e-4, 1e-8
+#: The share of the way to a kink that is left before it is looked for again, and by how much more
+#: is left each time that it is met before; and the share of a step that is gone along a straight
+#: line, whose error is the square of this.
+SHORT_OF, SHORTER, STRAIGHT = 1e-4, 8.0, 1e-8
+
+#: Most kinks that are passed with no step between: more than there are in any flow.
+MOST_PASSES = 256
 
 #: Times and states within so many roundings are not told apart.
 SPACINGS = 16
@@ -83,6 +89,8 @@ class KinkedStepper(Stepper):
         The method, from ``offset`` to ``bound`` at most.
     first : float or None
         The length of the first step that is tried where it starts anew.
+    passes : int
+        The kinks passed since the last step of the method.
     """
 
     inner: Stepper
@@ -93,7 +101,7 @@ class KinkedStepper(Stepper):
     ) -> None:
         self.solver, self.field, self.changes = solver, field, changes
         self.t0, self.x, self.length, self.first, self.sizes = start
-        self.tau, self.seen = 0.0, 0.0
+        self.tau, self.seen, self.passes = 0.0, 0.0, 0
         self.along = None if field.values is None else _Along(field.values)
         self._begin(self.length)
         self.repeats = self.inner.repeats
@@ -114,6 +122,7 @@ class KinkedStepper(Stepper):
     def step(self, limit: float) -> None:
         if self.passed or self.tau >= self.bound:
             self._begin(self.length)
+        short = SHORT_OF
         while True:
             before = self.tau, self.x
             self.inner.step(min(limit, self.bound) - self.offset)
@@ -122,15 +131,16 @@ class KinkedStepper(Stepper):
             self.first = own.length
             cut = self._first_cut(own) or self._next_to(own)
             if cut is None:
+                self.passes = 0
                 return
             self.tau, self.x = before
             self.seen, ahead = self.seen or own.length, max(cut.before, 0.0) * own.length
             if ahead > max(STRAIGHT * self.seen, self._speck(cut.kink)):
-                self._begin(self.tau + CLOSER * ahead)
-            elif self._passes(cut, ahead):
-                return
+                self._begin(self.tau + (1.0 - short) * ahead)
+                short = min(SHORTER * short, 0.9)
             else:
-                self._begin(self.length)
+                self._pass(cut, ahead)
+                return
 
     def segment(self) -> Segment:
         return self._segment
@@ -203,12 +213,13 @@ class KinkedStepper(Stepper):
         times = [abs(x[i] / flow[i]) for i in kink.uses if flow[i]]
         return SPACINGS * EPS * max(abs(self.t0) + self.tau, min(times, default=0.0))
 
-    def _passes(self, cut: Cut, ahead: float) -> bool:
-        """Go straight on until a deciding function has the sign beyond a kink; returns whether that
-        takes any time."""
+    def _pass(self, cut: Cut, ahead: float) -> None:
+        """Go straight on until a deciding function has the sign beyond a kink, for some time: a
+        step from the same place would meet the same kink."""
         t, x = self.t0 + self.tau, self.x
         flow = np.array(self.field.rhs(t, x.tolist()))
-        more = float(np.spacing(abs(t)))
+        more = float(np.spacing(abs(t) + ahead))
+        ahead = max(ahead, more)
         for _ in range(MOVES):
             if cut.kink.value(t + ahead, (x + ahead * flow).tolist()) * cut.side > 0:
                 break
@@ -216,8 +227,8 @@ class KinkedStepper(Stepper):
         ahead = min(ahead, self.length - self.tau)
         start, self.tau, self.x = self.tau, self.tau + ahead, x + ahead * flow
         self.first, self.seen = self.seen, 0.0
-        self.passed = self.tau > start
-        if self.passed:
-            straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, self.x])
-            self._segment = Segment(start, ahead, straight)
-        return self.passed
+        self.passed, self.passes = True, self.passes + 1
+        if self.passes > MOST_PASSES:
+            raise FlowError(f"{self.passes} changes of the flow with no step between: {LEADS_BACK}")
+        straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, self.x])
+        self._segment = Segment(start, self.tau - start, straight)
