@@ -8,6 +8,8 @@ import hybrid as hy
 from hybrid.run.driver import Driver
 from hybrid.solvers.scipy_backend import SciPySolver
 
+from .contract.ways import SOLVERS
+
 
 class Bent(hy.Automaton):
     """An oscillator whose force bends, jumps in time, has poles beside the path and is flat far
@@ -111,3 +113,62 @@ def test_a_flow_that_leads_back_to_its_jump_is_refused(solver, drift):
     start = {"x": 0.45435775, "v": 0.12754117}
     with pytest.raises(hy.FlowError, match="leads back to the jump from both sides"):
         hy.simulate(Back(), start, (1.4, 1.5), solver=solver)
+
+
+@pytest.mark.parametrize("way", ["taylor", "DOP853", "RK45"])
+def test_a_run_ends_where_a_saw_leads_back_to_its_jump(way):
+    """Below w = 0.1051 the saw is 1 and the flow rises, above it is 0 and the flow falls."""
+
+    class Saw(hy.Automaton):
+        w = hy.state()
+
+        @hy.mode
+        def only(self, t, s):
+            return 0.4912 * jnp.mod(2.0 * (s.w + 0.8949), 1.0) - s.w
+
+    with pytest.raises(hy.FlowError, match=r"t = 0\.0466.*leads back to the jump"):
+        hy.simulate(Saw(), {"w": 0.11}, (0.0, 2.0), **SOLVERS[way])
+
+
+def test_a_kink_of_a_product_is_passed_by_taylor_series():
+    """Where the clipped product is next to its corner, its rounding is that of what it is made of:
+    moved by a few roundings, position and speed must not make up for each other."""
+
+    class Clipped(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+
+        @hy.mode
+        def only(self, t, s):
+            push = 3.0 * jnp.clip(s.x * s.v - 0.093557037, -0.2, 0.2)
+            return s.v, -s.x - 0.1 * s.v + jnp.cos(1.3 * t) + push
+
+    start = {"x": -0.9138835154416254, "v": 0.11642514681611123}
+    run, other = (
+        hy.simulate(Clipped(), start, (3.8963, 3.8964), solver=solver, rtol=1e-12)
+        for solver in ("taylor", "scipy")
+    )
+    assert run.status is hy.Status.REACHED_END
+    assert abs(run.final.v - other.final.v) < 1e-12
+
+
+def test_a_saw_of_a_square_is_passed_by_taylor_series():
+    """The saw is made of two steps, with opposite signs: while the way between their zeros is less
+    than the time can tell, both are passed."""
+
+    class Squared(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+
+        @hy.mode
+        def only(self, t, s):
+            push = 0.9243 * jnp.mod(2.0 * (s.x**2 - 0.37009938), 1.0)
+            return s.v, -s.x - 0.1 * s.v + jnp.cos(1.3 * t) + push
+
+    start = {"x": -0.6083642862633235, "v": 0.24731395563071673}
+    run, other = (
+        hy.simulate(Squared(), start, (0.559, 0.5595), solver=solver, rtol=1e-12)
+        for solver in ("taylor", "scipy")
+    )
+    assert run.stats.steps < 20
+    assert abs(run.final.v - other.final.v) < 1e-12

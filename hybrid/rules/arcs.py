@@ -310,7 +310,8 @@ def passes(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) ->
     if run[METHOD_ORDER] == 0.0:
         kept(now, room, left, tau, next_tau - tau)
         program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
-        turn(a.programs, program, now.ints[CROSSED], room.c, room.sides)
+        t, h = now.floats[T] + tau, next_tau - tau
+        turn(a.programs, program, now.ints[CROSSED], t, h, room.c, room.sides)
         if now.ints[CROSSED] >= 0 and not beyond_kink(a, now, room, now.floats[T] + next_tau):
             return LOOK
     now.floats[TAU], now.ints[PHASE], now.ints[SHORT] = next_tau, WALKS, 0

@@ -129,7 +129,7 @@ def fly(
         if crossed >= 0:
             branch[kinks + crossings] = crossed
             crossings += 1
-        turn(p, program, crossed, c, sides)
+        turn(p, program, crossed, t + time - h, h, c, sides)
     return TOO_LONG, time, speed, most, crossings
 
 

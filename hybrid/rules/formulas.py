@@ -50,7 +50,7 @@ def change(p: Programs, program: int, t: float, h: float, room: Room) -> float:
             return UNDECIDED_CHANGE
         if done + same >= h:
             return math.inf
-        turn(p, program, -1, room.c, room.sides)
+        turn(p, program, -1, t + done, same, room.c, room.sides)
         for i in range(n):
             shift(room.c[i], same)
         done += same

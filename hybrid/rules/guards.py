@@ -427,7 +427,7 @@ def event_along(
         if done + shown >= reach:
             return -1, math.inf if keeps(a, now, room, t + h) else 0.0
         crossed = crossed if shown == same else -1
-        turn(a.programs, program, crossed, room.c, room.sides)
+        turn(a.programs, program, crossed, t + done, shown, room.c, room.sides)
         for i in range(n):
             shift(room.c[i], shown)
         done += shown

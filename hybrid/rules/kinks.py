@@ -31,6 +31,9 @@ EXACT = True
 #: flow.
 STEP_KINK, BAND, POLE, POINT = 1, 2, 3, 4
 
+#: Within this share of the time from a kink, rounding decides the side of the kink.
+SIDE_BLUR = 32.0 * EPS
+
 #: Columns of the table of kinks: the watched row; whether the formula changes at its zero; its
 #: kind; the row of the function itself, from which for a step function the nearest whole number is
 #: subtracted.
@@ -271,12 +274,19 @@ def crossed_to(c: Matrix, row: int, side: int) -> int:
     return -1 if c[row, 0] > 0.0 else 1
 
 
-def turn(p: Programs, program: int, crossed: int, c: Matrix, sides: Ints) -> int:
-    """Set the sides for what follows a step that ended on a kink (-1: on none)."""
+def turn(
+    p: Programs, program: int, crossed: int, t: float, h: float, c: Matrix, sides: Ints
+) -> int:
+    """Set the sides for what follows a step of length ``h`` from ``t`` that ended on a kink (-1: on
+    none). After one within rounding of the time, those of kinks passed just before are still
+    known."""
     side = 0
     if crossed >= 0:
         row = p.kinks[p.index[program, KINKS] + crossed, KINK_ROW]
         side = crossed_to(c, row, sides[crossed])
     for i in range(sides.shape[0]):
-        sides[i] = side if i == crossed else 0
+        if i == crossed:
+            sides[i] = side
+        elif h > SIDE_BLUR * abs(t):
+            sides[i] = 0
     return side

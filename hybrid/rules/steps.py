@@ -12,17 +12,23 @@ import math
 from .arrays import Floats, Ints, Matrix, Programs
 from .checks import arrives, follows
 from .jets import KINKS
-from .kinks import KINK_ROW, NOT_FINITE, count, crossed_to, expanded, first_change, holding, states
+from .kinks import (
+    KINK_ROW,
+    NOT_FINITE,
+    SIDE_BLUR,
+    count,
+    crossed_to,
+    expanded,
+    first_change,
+    holding,
+    states,
+)
 from .lengths import SHORTEST_CUT, tolerated_length
-from .zeros import EPS
 
 __all__ = ("step",)
 
 #: Status code besides those of :mod:`.kinks`: no step can be made.
 NO_STEP = -3
-
-#: Within this share of the time from a kink, rounding decides the side of the kink.
-SIDE_BLUR = 32.0 * EPS
 
 #: No step is shorter: numbers next to the smallest have too few digits.
 SHORTEST_STEP = 1e-300

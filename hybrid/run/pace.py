@@ -47,7 +47,7 @@ class Pace:
         self.falls = self.falls + 1 if self.due > COUNTED and gone < SWING_SHARE * self.gone else 0
         self.begun, self.gone, self.due = (self.count, end), gone, 2 * self.count
         left, mean = self.length - end, gone / made
-        many = left > STEPS_LEFT * mean
+        many = left > STEPS_LEFT * mean > 0.0
         if many and any(self._leads_back(k, end, x, mean) for k in self._jumps()):
             raise FlowError(f"after {self.count} steps the last are of {mean:.3g}: {LEADS_BACK}")
         stuck = mean <= FEW_STEPS * np.spacing(end)  # the time itself tells no shorter ones apart

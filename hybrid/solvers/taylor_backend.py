@@ -126,7 +126,7 @@ class TaylorStepper(Stepper):
         if status < 0:
             raise FlowError(REFUSED[status])
         if len(sides):
-            unit("kinks").turn(programs, 0, crossed, self.room.c, sides)
+            unit("kinks").turn(programs, 0, crossed, self.t0 + start, h, self.room.c, sides)
         self.tau = limit if start + h >= limit else start + h
         self._start, self._made = start, self.tau - start
         if self._made != h:  # the time was rounded: move the state to the rounded time
