@@ -86,7 +86,7 @@ class Cascade:
     ) -> None:
         self.gaps, self.speeds, self.elapsed = list(gaps), list(speeds), 0.0
         self.least, self.changes = DECAYED * max(map(abs, speeds)), np.zeros(len(laws))
-        self._laws, self._gain = laws, gain
+        self._laws, self._gain, self._at_rest = laws, gain, set[int]()
         self._felt = [[(i, g) for i, g in enumerate(own) if g] for own in gain.T.tolist()]
 
     def next(self) -> tuple[int, float] | None:
@@ -116,7 +116,12 @@ class Cascade:
         change = (after if after > self.least else 0.0) - self.speeds[j]
         for i, share in self._felt[j]:
             self.speeds[i] += share * change
-        self.gaps[j], self.speeds[j] = 0.0, self.speeds[j] if after > self.least else 0.0
+        if after > self.least:
+            self._at_rest.discard(j)
+        else:
+            self._at_rest.add(j)
+            self.speeds[j] = 0.0
+        self.gaps[j] = 0.0
         self.changes[j] += change
 
     def rest(self, struck: list[int]) -> None:
@@ -125,6 +130,7 @@ class Cascade:
         self.changes[struck] += changes
         u[struck] = 0.0
         self.speeds = u.tolist()
+        self._at_rest.update(struck)
         for i in struck:
             self.gaps[i] = 0.0
 
@@ -141,10 +147,11 @@ class Cascade:
         return not any(self.gaps[i] or self.speeds[i] for i in group)
 
     def closed(self) -> list[int]:
-        """The contacts struck that are closed now, with no speed that has not decayed."""
-        closed = np.flatnonzero((self.changes != 0.0) & (np.array(self.gaps) == 0.0))
-        small = np.abs(np.array(self.speeds)[closed]) <= len(closed) * self.least
-        return closed[small].tolist()  # type: ignore[no-any-return]
+        """The contacts that have come to rest by infinitely many impacts, and stay so, with those
+        that lose all of their speed at once; none if there are only such."""
+        small = len(self._at_rest) * self.least
+        stay = [i for i in self._at_rest if not self.gaps[i] and abs(self.speeds[i]) <= small]
+        return sorted(stay) if any(self._laws[i] > 0.0 for i in stay) else []
 
     def _impulses(self, struck: list[int]) -> tuple[np.ndarray, np.ndarray]:
         """The changes of speed, one per struck contact, that together bring these contacts to
