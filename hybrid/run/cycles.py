@@ -156,6 +156,8 @@ class Cycles:
         The longest flight of the run.
     spent : float
         The time spent in idle flights.
+    patience : int
+        How many jumps there must be before impacts at one instant are looked at once more.
     beside : sequence of int
         Elements of the state on which nothing else depends; they need not have a limit.
     """
@@ -164,7 +166,7 @@ class Cycles:
         self.beside = beside
         self.longest = self.spent = 0.0
         self.asked = self.stands = False
-        self.next = 2 * LEAST_WINDOW
+        self.next, self.patience = 2 * LEAST_WINDOW, 0
         self.seen = self._room = NO_JUMPS
 
     def clock(
@@ -279,7 +281,7 @@ class Cycles:
     def forget(self) -> None:
         """Start anew, after an accumulation."""
         self.seen = NO_JUMPS
-        self.next, self.stands = 2 * LEAST_WINDOW, False
+        self.next, self.stands, self.patience = 2 * LEAST_WINDOW, False, 0
 
     @property
     def period(self) -> int:

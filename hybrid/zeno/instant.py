@@ -19,8 +19,8 @@ from typing import NamedTuple
 import attrs
 import numpy as np
 
-#: Most impacts made to detect a recurrence; they take a tenth of a second.
-MOST_IMPACTS = 1 << 16
+#: Most impacts made to detect a recurrence; they take some tenths of a second.
+MOST_IMPACTS = 1 << 14
 
 #: How closely speeds must recur, and the factor by which they must shrink. The map of a turn is a
 #: product of a few hundred factors at most, and components in other directions decay from turn to
@@ -87,6 +87,7 @@ class Cascade:
         self.gaps, self.speeds, self.elapsed = list(gaps), list(speeds), 0.0
         self.least, self.changes = DECAYED * max(map(abs, speeds)), np.zeros(len(laws))
         self._laws, self._gain, self._at_rest = laws, gain, set[int]()
+        self._inverses: dict[tuple[int, ...], np.ndarray] = {}
         self._felt = [[(i, g) for i, g in enumerate(own) if g] for own in gain.T.tolist()]
 
     def next(self) -> tuple[int, float] | None:
@@ -156,9 +157,10 @@ class Cascade:
     def _impulses(self, struck: list[int]) -> tuple[np.ndarray, np.ndarray]:
         """The changes of speed, one per struck contact, that together bring these contacts to
         rest; and all speeds after these."""
-        speeds = np.array(self.speeds)
-        among = self._gain[np.ix_(struck, struck)]
-        changes = np.linalg.lstsq(among, -speeds[struck], rcond=None)[0]
+        speeds, group = np.array(self.speeds), tuple(struck)
+        if group not in self._inverses:
+            self._inverses[group] = np.linalg.pinv(self._gain[np.ix_(struck, struck)])
+        changes = -self._inverses[group] @ speeds[struck]
         return changes, speeds + self._gain[:, struck] @ changes
 
 
