@@ -6,27 +6,21 @@ converge, so it is looked at in parts.
 
 from __future__ import annotations
 
-import math
-
 from .arrays import Programs, Room
 from .checks import decided
 from .kinks import count, expanded, first_change, holding, turn
 from .lengths import SHORTEST_CUT
 from .polynomials import shift
 
-__all__ = ("change",)
+__all__ = ("keeps_formula",)
 
 #: Most parts of another solver's step in which functions are expanded: such steps may be long
 #: against the time in which a function changes.
 EXPANDED_PARTS = 64
 
-#: The distance where it cannot be told.
-UNDECIDED_CHANGE = -1.0
 
-
-def change(p: Programs, program: int, t: float, h: float, room: Room) -> float:
-    """The distance of the first change of a formula along a step; infinity if there is none,
-    ``UNDECIDED_CHANGE`` if it cannot be told.
+def keeps_formula(p: Programs, program: int, t: float, h: float, room: Room) -> bool:
+    """Whether functions keep their formulas along a whole step; also False if it cannot be told.
 
     Parameters
     ----------
@@ -42,19 +36,17 @@ def change(p: Programs, program: int, t: float, h: float, room: Room) -> float:
         for i in range(n):
             room.there[i] = room.c[i, 0]
         if expanded(p, program, t + done, room.there, room.sides, room.c, room.work) < 0:
-            return UNDECIDED_CHANGE
+            return False
         same, crossed = formula(p, program, t + done, h - done, room)
-        if crossed >= 0:
-            return done + same
-        if not same > 0.0:
-            return UNDECIDED_CHANGE
+        if crossed >= 0 or not same > 0.0:
+            return False
         if done + same >= h:
-            return math.inf
+            return True
         turn(p, program, -1, t + done, same, room.c, room.sides)
         for i in range(n):
             shift(room.c[i], same)
         done += same
-    return UNDECIDED_CHANGE
+    return False
 
 
 def formula(p: Programs, program: int, t: float, h: float, room: Room) -> tuple[float, int]:

@@ -66,18 +66,18 @@ def begin(
 
 
 class _Along:
-    """Where a flow changes its formula along a polynomial of the state, by the compiled rule."""
+    """Whether a flow keeps its formula along a polynomial of the state, by the compiled rule."""
 
     def __init__(self, values: Jets) -> None:
         self.program, self.room, self.rule = values.alone, values.room(ORDER), unit("formulas")
 
-    def change(self, t: float, start: float, length: float, powers: Matrix) -> float:
-        """The distance of the first change from the start of a step, of which the polynomial is
-        given by powers of the share of its length (see :func:`.formulas.change`)."""
+    def keeps_formula(self, t: float, start: float, length: float, powers: Matrix) -> bool:
+        """Whether the flow keeps its formula along a step, of which the polynomial is given by
+        powers of the share of its length; also False if it cannot be told."""
         count, c = powers.shape[1], self.room.c
         c[: len(powers), :count] = powers / length ** np.arange(count)
         c[: len(powers), count:] = 0.0
-        return float(self.rule.change(self.program, 0, t + start, length, self.room))
+        return bool(self.rule.keeps_formula(self.program, 0, t + start, length, self.room))
 
 
 class KinkedStepper(Stepper):
@@ -176,7 +176,7 @@ class KinkedStepper(Stepper):
         """Whether the compiled rule shows that the flow keeps its formula along a step, at the end
         of which no deciding function has another sign."""
         since = self.t0 + self.offset
-        if self.along is None or self.along.change(since, *self.inner.powers()) < np.inf:
+        if self.along is None or not self.along.keeps_formula(since, *self.inner.powers()):
             return False
         before, after = self.signs, self._values(since + own.end, own(own.end))
         if not all(before[kink.edge] * after[kink.edge] > 0.0 for kink in self.changes):

@@ -275,9 +275,9 @@ def _recurs(before: Motion, now: Motion, struck: list[int]) -> tuple[float, floa
     fall = _ratio([before.speeds[i] for i in struck], [now.speeds[i] for i in struck])
     lower = _ratio([before.gaps[i] for i in struck], [now.gaps[i] for i in struck])
     length = now.elapsed - before.elapsed
-    if length == 0.0 or not lower < fall:
-        return (fall, 0.0) if length == 0.0 else (np.inf, 0.0)
-    return fall, length * lower / (fall - lower)
+    if length == 0.0:
+        return fall, 0.0
+    return (fall, length * lower / (fall - lower)) if lower < fall else (np.inf, 0.0)
 
 
 def _ratio(before: list[float], now: list[float]) -> float:
