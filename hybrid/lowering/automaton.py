@@ -297,9 +297,8 @@ class Tables:
         programs, held, corner = [-1, -1], bool(field.held), guard.kind is Kind.CONTACT
         slides = field.project is not None and not held
         lags, bends = bool(self.scene.spec.lags), bool(guard.kinks)
-        # Python decides these: what stays held after a jump that delays see, and guards that may
-        # jump
-        judged = (held and lags) or (bends and (corner or guard.jumps))
+        # Python decides these: what stays held after a jump that delays see, and gaps with a corner
+        judged = (held and lags) or (bends and corner)
         if guard.kind is Kind.CONTACT and not judged:
             programs = [
                 self._of_values(field, ("impact", name), lambda: graph.impact(name)),

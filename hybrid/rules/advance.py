@@ -10,7 +10,7 @@ import math
 
 from .arcs import arc, copied
 from .arrays import AutomatonArrays, Floats, Left, Now, Room
-from .clocks import passed, rung
+from .clocks import after, passed, rung
 from .contacts import asks, onto, still_held, twin, values
 from .guards import row_of, so_far
 from .hops import drowns, tells
@@ -53,6 +53,7 @@ from .places import (
     PHASE,
     PULL,
     PULLED,
+    REACHES,
     RELEASE,
     RESET,
     REST,
@@ -223,15 +224,6 @@ def enlarged(now: Now, x: Floats) -> None:
         now.seen[i] = max(now.seen[i], abs(x[i]))
 
 
-def after(t: float, low: float, duration: float) -> tuple[float, float]:
-    """A time in two floats plus a duration, without rounding (two-sum, Knuth)."""
-    total = t + duration
-    back = total - t
-    low = (t - (total - back)) + (duration - back) + low
-    now = total + low
-    return now, low - (now - total)
-
-
 def impact(
     a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, before: Floats, behind: Floats
 ) -> tuple[int, int]:
@@ -300,9 +292,9 @@ def unchanged(
 
 
 def beyond(a: AutomatonArrays, now: Now, guard: int) -> bool:
-    """Whether a guard that fired before any flow is not zero: it was urgent."""
-    urgent = a.guards[guard, URGENT] == 1
-    return urgent and now.orders[guard - a.fields[now.ints[FIELD], GUARDS]] == 0
+    """Whether a guard that fired may not be zero: it jumped, or was urgent, before any flow."""
+    place, urgent = guard - a.fields[now.ints[FIELD], GUARDS], a.guards[guard, URGENT] == 1
+    return now.zeros[place, REACHES] == 1.0 or (urgent and now.orders[place] == 0)
 
 
 def watch(a: AutomatonArrays, now: Now, guard: int, kind: int) -> None:

@@ -18,18 +18,10 @@ from .arrays import AutomatonArrays, Floats, Ints, Left, Matrix, Now, Room
 from .checks import along
 from .clocks import beside, close, ended, wind
 from .contacts import onto
+from .cuts import beyond_kink, straight, with_cuts
+from .dense import event_along, foreseen
 from .entries import starts
-from .guards import (
-    SMALL_SHIFT,
-    TIE,
-    begun,
-    event_along,
-    first_event,
-    foreseen,
-    goes_on,
-    resolved,
-    row_of,
-)
+from .guards import SMALL_SHIFT, TIE, begun, first_event, resolved, row_of
 from .jets import afresh, jets
 from .kinks import turn
 from .lengths import SHORT_SHARE, STEP_FURTHER, falls
@@ -41,6 +33,7 @@ from .places import (
     CONTACT,
     CROSSED,
     CROSSING,
+    CUT,
     DUE,
     EDGE,
     EVENT,
@@ -93,6 +86,7 @@ from .places import (
     UNTIL,
     WALKS,
     WANTED,
+    WATCH,
     WATCHED,
     T,
 )
@@ -267,8 +261,13 @@ def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         if now.ints[PHASE] == HELD:  # it has been cut
             begun(a, now, room)
         guard, s = first_event(a, run, now, room, h, starting)
+        guard, s, further = with_cuts(a, now, room, guard, s, h)
+        if further > 0.0:
+            next_tau += further
+            now.floats[STEP_END] = next_tau
+            along(room.c, next_tau - tau, now.end)
     elif now.ints[PHASE] == LOOKS:
-        guard, s = -1, 0.0
+        guard, s, now.ints[CUT] = -1, 0.0, 0
         lose(run, now, room, h, now.floats[AIM] >= 0.0)
         if now.floats[AIM] >= 0.0:
             guard, s = foreseen(a, run, now, room, h, starting)
@@ -312,20 +311,11 @@ def passes(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) ->
         program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
         t, h = now.floats[T] + tau, next_tau - tau
         turn(a.programs, program, now.ints[CROSSED], t, h, room.c, room.sides)
-        if now.ints[CROSSED] >= 0 and not beyond_kink(a, now, room, now.floats[T] + next_tau):
-            return LOOK
     now.floats[TAU], now.ints[PHASE], now.ints[SHORT] = next_tau, WALKS, 0
     now.ints[MADE] += 1
     for g in range(now.orders.shape[0]):
         now.orders[g] = 0
     return GOES_ON
-
-
-def beyond_kink(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
-    """Whether, where a step ends at a kink, each guard is still on its side of zero."""
-    program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
-    fit = jets(a.programs, program, 0, t, now.end, room.sides, room.c, room.work) == 0
-    return fit and goes_on(a, now, room, program, t, now.end)
 
 
 def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
@@ -338,6 +328,8 @@ def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     tau, at, guard = now.floats[TAU], now.floats[TO_TAU], now.ints[EVENT]
     field = now.ints[FIELD]
     program = a.fields[field, FIELD_PROGRAM]
+    if now.ints[CUT] != 0:
+        return lands_beyond(a, run, now, room, left)
     row = row_of(a, program, field, guard)
     t, least = now.floats[T] + at, beyond(now, tau)
     length = (run[UNTIL] - now.floats[T]) - now.floats[LOW]
@@ -365,11 +357,42 @@ def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         return again(run, now, room, at + further - ago, least, most)
     if run[METHOD_ORDER] == 0.0:
         kept(now, room, left, tau, at + further - tau)
-    if close(a, run, now, room, now.floats[T] + at + further):
+    return closes(a, run, now, room, at + further, length)
+
+
+def lands_beyond(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
+    """End an arc just beyond the kink at which a guard jumps (1, 5): what is behind the jump has
+    the formula from there on. Another solver's step is first made to end at the kink, and the rest
+    of the way is straight."""
+    tau, at = now.floats[TAU], now.floats[TO_TAU]
+    own, length = run[METHOD_ORDER] == 0.0, (run[UNTIL] - now.floats[T]) - now.floats[LOW]
+    least = beyond(now, 0.0 if own else tau)
+    most = min(length, now.floats[STEP_END] + SMALL_SHIFT * (now.floats[STEP_END] - tau))
+    since, s, field = tau, at - tau, now.ints[FIELD]
+    program = a.fields[field, FIELD_PROGRAM if own else WATCH]
+    if not own:
+        since, s = at, straight(a, now, room, program, now.floats[T] + at)
+        now.ints[LANDINGS_TRIED] += 1
+        if now.ints[LANDINGS_TRIED] > LANDINGS or not abs(s) < math.inf:
+            return LOOK
+        if abs(s) > SMALL_SHIFT * (at - tau):
+            return again(run, now, room, at + s, least, most)
+    s += beyond_kink(a, now, room, program, since, s)
+    if not least < since + s < length:
         return LOOK
-    further += gathered(a, run, now, room, now.floats[T] + at + further, length - at - further)
-    now.ints[FIRED] = together(a, run, now, room, now.floats[T] + at + further)
-    now.floats[TAU] = at + further
+    if own:
+        kept(now, room, left, tau, s)
+    along(room.c, s, now.end)
+    return closes(a, run, now, room, since + s, length)
+
+
+def closes(a: AutomatonArrays, run: Floats, now: Now, room: Room, tau: float, length: float) -> int:
+    """End an arc at a local time, on the guard declared first of those that fire there (4)."""
+    if close(a, run, now, room, now.floats[T] + tau):
+        return LOOK
+    tau += gathered(a, run, now, room, now.floats[T] + tau, length - tau)
+    now.ints[FIRED] = together(a, run, now, room, now.floats[T] + tau)
+    now.floats[TAU] = tau
     now.ints[STEPS_MADE] += now.ints[MADE] + 1
     return LANDED
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 
-from .advance import after
 from .arrays import (
     AutomatonArrays,
     Changes,
@@ -27,6 +26,7 @@ from .arrays import (
     Sums,
     Table,
 )
+from .clocks import after
 from .guards import NEAR
 from .jets import afresh, values
 from .kinks import count

@@ -46,6 +46,15 @@ from .ties import ago, hidden_of, near
 from .zeros import EPS
 
 
+def after(t: float, low: float, duration: float) -> tuple[float, float]:
+    """A time in two floats plus a duration, without rounding (two-sum, Knuth)."""
+    total = t + duration
+    back = total - t
+    low = (t - (total - back)) + (duration - back) + low
+    now = total + low
+    return now, low - (now - total)
+
+
 def wind(a: AutomatonArrays, now: Now, room: Room, t: float, low: float) -> None:
     """Find the clock that rings first from a time on, and when."""
     field = now.ints[FIELD]

@@ -36,6 +36,7 @@ from .places import (
     NONE,
     OWN,
     PULL,
+    REACHES,
     RELEASE,
     RISES,
     SERIES,
@@ -76,7 +77,7 @@ def starts(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     field, fires, drowned = now.ints[FIELD], NONE, False
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
-        now.zeros[g - first, MADE_OF] = -1.0
+        now.zeros[g - first, MADE_OF], now.zeros[g - first, REACHES] = -1.0, 0.0
         if now.ints[ENTERED] == 0:
             c = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)]
             now.orders[g - first], what = start_of(a, run, now, room, g, c)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from .advance import after
 from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Now, PastArrays, Sums
 from .chebyshev import value
+from .clocks import after
 from .flights import fly
 from .lengths import LAST_TERMS
 from .places import (

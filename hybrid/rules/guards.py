@@ -10,18 +10,17 @@ import math
 
 from .arrays import AutomatonArrays, Floats, Now, Room
 from .checks import HELD_BEFORE, HELD_INSIDE, MISSED, ROUNDING_BESIDE, along, second
-from .formulas import EXPANDED_PARTS, formula
 from .jets import OUTPUT, afresh
-from .kinks import count, expanded, turn
+from .kinks import SIDE_BLUR, count
 from .lengths import CONVERGED, LAST_TERMS, behind, own_length
 from .places import (
     ABSOLUTE,
     AFFINE,
-    AIM,
     BENDS,
     BLUR,
     BOUNDS,
     CONDITION,
+    CROSSED,
     CROSSING,
     FIELD,
     FIELD_PROGRAM,
@@ -29,29 +28,26 @@ from .places import (
     GUARDS,
     GUARDS_END,
     LOOKS,
-    LOW,
     MADE_OF,
     NONE,
     OFF,
     PHASE,
+    REACHES,
     RELATIVE,
     SEES,
     SIZES,
-    STEP_END,
     STEP_LOSS,
     TAU,
-    TOLERANCES,
-    UNTIL,
     USES,
     USES_END,
     WATCH,
     WHEN,
     T,
 )
-from .polynomials import power_size, power_value, shift
+from .polynomials import power_size, power_value
 from .zeros import EPS, NEVER, outweighs, series, soon
 
-__all__ = ("event_along",)
+__all__ = ("first_event",)
 
 #: A guard nearer to zero than this share of the state is looked at more closely.
 NEAR = 1e-6
@@ -66,8 +62,9 @@ TIE, TIED_IN_STEP = 4.0, 1e-6
 #: The rounding of a guard along a step is told from its terms up to this power.
 TELLING = 2
 
-#: A series of the flow and another solver's step may differ by so many times what a step may lose.
-AGREES = 4.0
+#: A guard jumps within so many spacings of the time from the zero of the function that decides:
+#: four for each of a quotient, a product and a sine, four for the place.
+JUMPS_WITHIN = 16
 
 #: A shift onto a guard that is so small beside the way to it is made along a straight line.
 SMALL_SHIFT = 1e-6
@@ -83,6 +80,7 @@ def first_event(
     fired, best = -1, math.inf
     for g in range(first, a.fields[field, GUARDS_END]):
         zero, c = now.zeros[g - first], room.c[row_of(a, series_of(a, now), field, g)]
+        zero[REACHES] = 0.0
         order = now.orders[g - first] if starting or now.ints[PHASE] == LOOKS else 0
         if starting:
             zero[OFF] = abs(c[0]) if order == 1 else 0.0
@@ -149,9 +147,12 @@ def zero_of(
     listed = series(c, degree, h, order, near, room.rows, room.found)
     if listed < 0:
         return 0.0
-    side = c[order]
+    side, at_kink = 1.0 if c[order] > 0.0 else -1.0, bends and now.ints[CROSSED] >= 0
+    reaches = at_kink and ends_at_zero(now, room, c, h)
     for k in range(listed):
         s, direction = room.found[k, 0], room.found[k, 1]
+        if reaches and h - s <= TIED_IN_STEP * h:
+            break
         if direction == 0.0:
             value, _ = power_value(c, 0, degree, s)
             if abs(value) <= own_open(a, run, now, room, guard, c, s):
@@ -165,8 +166,10 @@ def zero_of(
             return 0.0
     value, _ = power_value(c, 0, degree, h)
     size = power_size(c, 0, degree, h)
-    now.signs[place] = 1 if value > 0.0 else -1
-    least = max(GUARD_ROUNDING * EPS * size, hides)
+    now.signs[place] = 1 if (side if reaches else value) > 0.0 else -1
+    if reaches:  # what it does at the kink is judged from both sides of it
+        return math.inf
+    least = 0.0 if at_kink else max(GUARD_ROUNDING * EPS * size, hides)
     clear = value * side > 0.0 and abs(value) > least
     return math.inf if clear else 0.0
 
@@ -192,6 +195,13 @@ def holds(a: AutomatonArrays, room: Room, guard: int, t: float, x: Floats) -> bo
     if afresh(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
         return False
     return room.aside[a.programs.output[a.programs.index[program, OUTPUT]], 0] > 0.0
+
+
+def ends_at_zero(now: Now, room: Room, c: Floats, h: float) -> bool:
+    """Whether a guard, to its rounding or that of the time, is zero where a step ends at a kink."""
+    value, slope = power_value(c, 0, c.shape[0] - 1, h)
+    moved = abs(slope) * JUMPS_WITHIN * EPS * (abs(room.c[now.end.shape[0], 0]) + h)
+    return abs(value) <= max(GUARD_ROUNDING * EPS * power_size(c, 0, c.shape[0] - 1, h), moved)
 
 
 def hidden(a: AutomatonArrays, now: Now, room: Room, guard: int) -> float:
@@ -315,6 +325,8 @@ def resolved(
         if a.guards[g, AFFINE] == 0:
             share = min(max(run[STEP_LOSS], LAST_TERMS), CONVERGED)
             h = min(h, own_length(room.c[row_of(a, program, field, g)], share))
+    if kink and h <= SIDE_BLUR * abs(t):  # rounding decides on the formula
+        return h
     for g in range(first, a.fields[field, GUARDS_END]):
         if a.guards[g, AFFINE] == 0:
             for share in (HELD_INSIDE, end):
@@ -341,35 +353,6 @@ def follows(
     return abs(exact - value) <= max(MISSED * EPS * size, ROUNDING_BESIDE * behind(c, s))
 
 
-def foreseen(
-    a: AutomatonArrays, run: Floats, now: Now, room: Room, h: float, starting: bool
-) -> tuple[int, float]:
-    """As :func:`event_along`, by series of the flow from where another solver's step begins, which
-    ``room.c`` has; at 0 where these do not show that no guard fires, or one at the step's end, and
-    below 0 where a guard does not begin with the sign with which it ended the last step.
-
-    They do where they have converged there, to what a step may lose, lead to its state, and nothing
-    changes its formula.
-    """
-    order, t = room.c.shape[1] - 1, now.floats[T] + now.floats[TAU]
-    for i in range(now.x.shape[0]):
-        allowed = run[TOLERANCES + i] + run[RELATIVE] * abs(now.end[i])
-        value, _ = power_value(room.c[i], 0, order, h)
-        if not max(behind(room.c[i], h), abs(value - now.end[i]) / AGREES) <= allowed:
-            return -1, 0.0
-    reach = reached(run, now, h)
-    same, _ = formula(a.programs, series_of(a, now), t, reach, room)
-    if same != reach or resolved(a, run, now, room, t, reach, False) != reach:
-        return -1, 0.0
-    if not (starting or continues(a, now, room)):
-        return -1, -1.0
-    guard, s = first_event(a, run, now, room, reach, starting)
-    if abs(s - h) <= SMALL_SHIFT * h or (s == math.inf and keeps(a, now, room, t + h)):
-        return guard, s
-    begun(a, now, room)
-    return -1, 0.0
-
-
 def begun(a: AutomatonArrays, now: Now, room: Room) -> None:
     """Put down the signs that guards have where a step begins: it is looked at once more."""
     field = now.ints[FIELD]
@@ -377,90 +360,6 @@ def begun(a: AutomatonArrays, now: Now, room: Room) -> None:
     for g in range(first, a.fields[field, GUARDS_END]):
         value = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g), 0]
         now.signs[g - first] = 1 if value > 0.0 else -1
-
-
-def continues(a: AutomatonArrays, now: Now, room: Room) -> bool:
-    """Whether guards begin a step with the signs with which they ended the last."""
-    field = now.ints[FIELD]
-    first = a.fields[field, GUARDS]
-    for g in range(first, a.fields[field, GUARDS_END]):
-        value = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g), 0]
-        if not value * now.signs[g - first] > 0.0:
-            return False
-    return True
-
-
-def reached(run: Floats, now: Now, h: float) -> float:
-    """How far a step is looked at: a little beyond its end, if it was made to end on a guard."""
-    if now.floats[STEP_END] != now.floats[AIM]:
-        return h
-    length = (run[UNTIL] - now.floats[T]) - now.floats[LOW]
-    return min(h * (1.0 + SMALL_SHIFT), length - now.floats[TAU])
-
-
-def event_along(
-    a: AutomatonArrays, run: Floats, now: Now, room: Room, h: float, starting: bool
-) -> tuple[int, float]:
-    """As :func:`first_event`, in a step of another solver, of which ``room.c`` has the polynomial.
-
-    The guards' series along it need not converge at its end: they are expanded anew as often as
-    they must be, and where a guard changes its formula.
-    """
-    field, n, reach = now.ints[FIELD], now.x.shape[0], reached(run, now, h)
-    t, done, crossed, program = now.floats[T] + now.floats[TAU], 0.0, -1, a.fields[field, WATCH]
-    for i in range(room.sides.shape[0]):
-        room.sides[i] = 0
-    for part in range(EXPANDED_PARTS):
-        for i in range(n):
-            room.there[i] = room.c[i, 0]
-        if expanded(a.programs, program, t + done, room.there, room.sides, room.c, room.work) < 0:
-            return -1, 0.0
-        if crossed >= 0 and not goes_on(a, now, room, program, t + done, room.there):
-            return -1, 0.0
-        same, crossed = formula(a.programs, program, t + done, reach - done, room)
-        shown = resolved(a, run, now, room, t + done, same, crossed >= 0)
-        if not shown > 0.0:
-            return -1, 0.0
-        guard, s = first_event(a, run, now, room, shown, starting and part == 0)
-        if guard >= 0 or not s > 0.0:
-            return guard, s if s == 0.0 else done + s
-        if done + shown >= reach:
-            return -1, math.inf if keeps(a, now, room, t + h) else 0.0
-        crossed = crossed if shown == same else -1
-        turn(a.programs, program, crossed, t + done, shown, room.c, room.sides)
-        for i in range(n):
-            shift(room.c[i], shown)
-        done += shown
-    return -1, 0.0
-
-
-def keeps(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
-    """Whether the guards have at the end of a step the signs that its polynomial gives them."""
-    field = now.ints[FIELD]
-    program, first = a.fields[field, FIELD_PROGRAM], a.fields[field, GUARDS]
-    if afresh(a.programs, program, 0, t, now.end, room.still, room.aside, room.work) < 0:
-        return False
-    for g in range(first, a.fields[field, GUARDS_END]):
-        value = room.aside[row_of(a, program, field, g), 0]
-        if not value * now.signs[g - first] > 0.0:
-            return False
-    return True
-
-
-def goes_on(a: AutomatonArrays, now: Now, room: Room, program: int, t: float, x: Floats) -> bool:
-    """Whether guards that may change their formula are, beyond a kink, where ``room.c`` has their
-    values, on the side of zero on which they were, by more than rounding (1)."""
-    field = now.ints[FIELD]
-    first = a.fields[field, GUARDS]
-    for g in range(first, a.fields[field, GUARDS_END]):
-        if a.guards[g, BENDS] == 1:
-            value, least = room.c[row_of(a, program, field, g), 0], 0.0
-            if not abs(value) > NEAR * largest(x, x.shape[0]):
-                size, _, _ = sizes_of(a, room, g, t, x)
-                least = GUARD_ROUNDING * EPS * size
-            if not value * now.signs[g - first] > least:
-                return False
-    return True
 
 
 def row_of(a: AutomatonArrays, program: int, field: int, guard: int) -> int:

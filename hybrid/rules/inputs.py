@@ -7,7 +7,6 @@ the held contacts stay closed. Otherwise the driver treats the knot.
 
 from __future__ import annotations
 
-from .advance import after
 from .arcs import copied
 from .arrays import (
     AutomatonArrays,
@@ -22,6 +21,7 @@ from .arrays import (
     Sums,
     Table,
 )
+from .clocks import after
 from .contacts import closed, onto
 from .guards import GUARD_ROUNDING, row_of, sizes_of
 from .jets import afresh, steady

@@ -42,10 +42,11 @@ KINK_ROW, SWITCHES, KINK_KIND, WHOLE_ROW = 0, 1, 2, 3
 #: Status codes: there are no series, or they are not finite.
 NO_SERIES, NOT_FINITE = -1, -2
 
-#: Largest change per step of the argument of a step function, so that it passes one whole number at
-#: most; and of ``exp``, as a share of the order: up to the order the last terms of its series
-#: outweigh those that follow, and half of it leaves room for a square.
-STEP_CHANGE, EXP_CHANGE = 0.5, 0.5
+#: Largest change per step of the argument of a step function, as a share of the way to the whole
+#: number behind the nearest, which is never reached unseen; and of ``exp``, as a share of the
+#: order: up to the order the last terms of its series outweigh those that follow, and half of it
+#: leaves room for a square.
+STEP_CHANGE, EXP_CHANGE = 0.9, 0.5
 
 #: Rounding of a kink's polynomial in Bernstein form, as a multiple of the sum of its terms: as many
 #: roundings as its highest degree.
@@ -115,7 +116,7 @@ def holding(p: Programs, program: int, c: Matrix) -> float:
         kind, row = p.kinks[j, KINK_KIND], p.kinks[j, KINK_ROW]
         most = math.inf
         if kind == STEP_KINK:
-            most = STEP_CHANGE
+            most = STEP_CHANGE * (1.0 - abs(c[row, 0]))
         elif kind == POLE:
             most = abs(c[row, 0])
         elif kind == BAND and p.bands[j, 0] - change < c[row, 0] < p.bands[j, 1] + change:
@@ -150,10 +151,11 @@ def first_change(
 ) -> tuple[float, int]:
     """How far a step may go with the formula with which it begins, and the kink that ends it.
 
-    The kink is -1 if none is reached, though one may be near. The length is NaN if a watched series
-    is not finite, and 0 where the flow beyond a kink leads back to it.
+    The kink is -1 if none is reached, though one may be near. A zero beyond the end that the time
+    does not tell from it is at the end. The length is NaN if a watched series is not finite, and 0
+    where the flow beyond a kink leads back to it.
     """
-    chosen = -1
+    chosen, blur = -1, ZERO_SPACINGS * EPS * max(abs(t), h)
     first = p.index[program, KINKS]
     for i in range(count(p, program)):
         row = p.kinks[first + i, KINK_ROW]
@@ -164,13 +166,13 @@ def first_change(
                 return 0.0, -1
             c[row, 0] = start - level
             begin = 1 if sides[i] != 0 else 0
-            zero, reached = _first_zero(c[row, begin:], t, h, sides[i], rows, found)
+            zero, reached = _first_zero(c[row, begin:], t, h + blur, sides[i], rows, found)
             c[row, 0] = start
             if math.isnan(zero):
                 return math.nan, -1
-            if zero < h:
-                h = zero
-                chosen = i if reached and p.kinks[first + i, SWITCHES] == 1 else -1
+            ends = reached and p.kinks[first + i, SWITCHES] == 1
+            if zero < h or (ends and chosen < 0 and zero <= h + blur):
+                h, chosen = min(h, zero), i if ends else -1
     return h, chosen
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 
-from .advance import after
 from .arcs import copied
 from .arrays import (
     AutomatonArrays,
@@ -24,6 +23,7 @@ from .arrays import (
     Sums,
     Table,
 )
+from .clocks import after
 from .jets import steady
 from .pairs import answers
 from .places import (

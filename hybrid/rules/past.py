@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import math
 
-from .advance import after
 from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Look, Now, PastArrays, Room, Sums
+from .clocks import after
 from .contacts import values
 from .flown import field_of, fits, recorded, walked
 from .guards import GUARD_ROUNDING, row_of, sizes_of

@@ -128,14 +128,16 @@ RINGS = 22  # the clock that rings first
 FLOWING = 23  # the number of states that flow; discrete variables follow
 SHORT = 24  # 1 if the step is made by series of lower order
 PROVED = 25  # 1 if Python has shown that the sum at hand passes over no event
-STATE_INTS = 26
+CUT = 26  # the sign beyond the kink at which a guard jumps, which ends the arc; 0 if none does
+STATE_INTS = 27
 
 #: Columns of the zeros of guards in a step.
 WHEN = 0  # when the guard fires
 BLUR = 1  # how much the remainder of its series may move that
 OFF = 2  # how far from zero it was at the start of the arc, where it vanishes
 MADE_OF = 3  # the sum of its absolute terms there; negative if it is not known
-ZERO_COLUMNS = 4
+REACHES = 4  # 1 if it fires at a kink
+ZERO_COLUMNS = 5
 
 #: What comes next in an arc.
 BEGINS = 0  # its start

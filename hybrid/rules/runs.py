@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 
-from .advance import added, advance, after, enlarged, entered
+from .advance import added, advance, enlarged, entered
 from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Look, Now, Room, Sums
+from .clocks import after
 from .contacts import asks, onto
 from .guards import GUARD_ROUNDING, largest, so_far
 from .hops import hop

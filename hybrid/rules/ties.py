@@ -29,6 +29,7 @@ from .places import (
     LOW,
     OFF,
     OWN,
+    REACHES,
     RELATIVE,
     STEP_END,
     STEPS_LOST,
@@ -82,7 +83,7 @@ def together(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) ->
     for g in range(first, a.fields[field, GUARDS_END]):
         if g == event:
             continue
-        comes, zero = near(a, run, now, room, g, t), ago(a, now, room, g, t) == 0.0
+        comes, zero = near(a, run, now, room, g, t), ago(a, now, room, g, t) >= 0.0
         if not (comes or zero):
             continue
         if (beside(a, now, g) and zero) or (comes and holds(a, room, g, t, now.end)):
@@ -143,6 +144,8 @@ def ago(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float) -> float
     """How long ago a guard has fired, by its value and rate at ``now.end`` (:func:`since`)."""
     field = now.ints[FIELD]
     program, place = a.fields[field, FIELD_PROGRAM], guard - a.fields[field, GUARDS]
+    if now.zeros[place, REACHES] == 1.0:
+        return 0.0
     if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
         return -1.0
     row, before = row_of(a, program, field, guard), now.signs[place]

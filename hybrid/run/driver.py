@@ -280,8 +280,16 @@ class Driver:
         """
         self.entry, self.came, self.mode = Entry(field, x, None, [], []), came, field.name
 
-    def arrive(self, field: Field, x: StateVector, guard: Guard, before: StateVector) -> None:
-        """Begin an arc after a jump that the compiled loop has made."""
+    def arrive(
+        self,
+        field: Field,
+        x: StateVector,
+        guard: Guard,
+        before: StateVector,
+        vanishes: bool = True,
+    ) -> None:
+        """Begin an arc after a jump that the compiled loop has made; ``vanishes``: the guard of an
+        edge that has kept its value is zero."""
         last = self.record.log.kept[-1]
         assert not isinstance(last, TailPart)
         lasted = (last.lengths[-1] if isinstance(last, Flights) else last.length) > 0
@@ -294,7 +302,8 @@ class Driver:
             if guard.kind in ("switch", "leave"):
                 return Jumped(switch.vanishing(guard, field))
             own = [g for g in self.field.guards if g.edge == guard.edge and not self.forgets]
-            return jumps.came_by(self, own[0], before, x) if own else Jumped(used=guard.edge)
+            come = jumps.came_by(self, own[0], before, x) if own else Jumped(used=guard.edge)
+            return come if vanishes else attrs.evolve(come, vanishing={})
 
         self.begin(field, x, came)
 

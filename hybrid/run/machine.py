@@ -62,6 +62,7 @@ from ..rules.places import (
     NONE,
     PHASE,
     PROOF,
+    REACHES,
     RISES,
     SERIES,
     SHOW,
@@ -502,7 +503,8 @@ class Machine:
             if due and end not in sums and self._pass_limit(to):
                 self.passed = True
                 return
-            driver.arrive(driver.own.field(to), after, guard, left.before[end - 1].copy())
+            vanishes = end < made or self.ints[GUARD_POWER] > 0
+            driver.arrive(driver.own.field(to), after, guard, left.before[end - 1].copy(), vanishes)
             if end in sums:
                 self._held(fields[end - 1])
                 if driver.status is not None:  # behind the last jump nothing is summed
@@ -617,6 +619,12 @@ class Machine:
         field, guard = self.driver.entry.field, self.tables.guards[int(self.ints[FIRED])]
         return field.guard(guard.edge)
 
+    @property
+    def _jumped(self) -> bool:
+        """Whether the guard that fired last has jumped over zero."""
+        fired = int(self.ints[FIRED]) - self.tables.first(int(self.ints[FIELD]))
+        return bool(self.now.zeros[fired, REACHES])
+
     def _stand(self, left: Left, status: int) -> None:
         """Handle the place at which the loop has stopped: the end of the run, or a jump."""
         driver, place = self.driver, int(self.ints[JUMPS_MADE])
@@ -645,7 +653,7 @@ class Machine:
                 clock = clocks.first(driver, due, before)
                 driver.ring(clock or self.fired, due, before)
             else:
-                driver.jump(self.fired, before)
+                driver.jump(self.fired, before, self._jumped)
 
     def _tied(self) -> dict[str, int]:
         """By edge, the sign before its zero of each guard that was zero when the last flight
