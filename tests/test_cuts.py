@@ -53,7 +53,7 @@ def watching(name):
     return Watched
 
 
-START, SPAN = {"x": -0.1, "v": 1.5, "n": 0.0}, (0.0, 9.0)
+START, SPAN = {"x": -0.1, "v": 1.5, "n": 0.0}, (0.0, 8.9)  # a saw of time jumps at none of these
 
 
 def model_of(name):
@@ -70,7 +70,7 @@ def refused(driver, *_):
 
 
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
-@pytest.mark.parametrize("name", [name for name in GUARDS if name != "ramp"])
+@pytest.mark.parametrize("name", GUARDS)
 def test_the_driver_flies_no_arc_of_a_guard_that_jumps(name, solver, monkeypatch):
     """Nor judges its jumps; lanes are the run."""
     monkeypatch.setattr(Driver, "jump", refused)
@@ -92,7 +92,7 @@ def test_it_fires_where_the_rules_one_by_one_have_it(name, monkeypatch):
     run, other = run_of(name, solver="taylor"), run_of(name, solver="scipy", rtol=1e-11)
     without_loop(monkeypatch)
     slow = run_of(name, solver="taylor")
-    for one, off in ((run, 1e-11), (other, 1e-8)):
+    for one, off in ((run, 1e-10), (other, 1e-8)):  # one by one a jump is met to 2e-11
         np.testing.assert_allclose(one.jumps.t, slow.jumps.t, rtol=0, atol=off)
         for side in ("before", "after"):
             x, y = (getattr(r.jumps.table, side) for r in (one, slow))
@@ -100,15 +100,14 @@ def test_it_fires_where_the_rules_one_by_one_have_it(name, monkeypatch):
 
 
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
-@pytest.mark.parametrize("seed", range(6))
-def test_a_saw_fires_at_all_teeth_on_either_side_of_zero(seed, solver):
+def test_a_saw_fires_at_all_teeth_on_either_side_of_zero(solver):
     """Down to zero as it comes to one from below, and onto zero from above: once at each."""
-    p, v = np.random.default_rng(seed).uniform([0.3, 0.5], [1.2, 3.0])
-    start, rtol = {"x": -2.5 * p, "v": v, "n": 0.0}, 1e-11
-    run = hy.simulate(watching("saw")(p=p), start, SPAN, solver=solver, rtol=rtol)
-    x = hy.simulate(watching("flag")(p=1e3), start, SPAN, solver="taylor")
-    teeth = np.floor(x(np.linspace(*SPAN, 200_001)).x / p)
-    assert len(run.jumps) == np.count_nonzero(np.diff(teeth)) >= 2
+    grid = np.linspace(*SPAN, 200_001)
+    for p, v in np.random.default_rng(0).uniform([0.3, 0.5], [1.2, 3.0], (30, 2)):
+        start, rtol = {"x": -2.5 * p, "v": v, "n": 0.0}, 1e-11
+        run = hy.simulate(watching("saw")(p=p), start, SPAN, solver=solver, rtol=rtol)
+        x = hy.simulate(watching("flag")(p=1e3), start, SPAN, solver="taylor")
+        assert len(run.jumps) == np.count_nonzero(np.diff(np.floor(x(grid).x / p))) >= 2
 
 
 class Two(hy.Automaton):

@@ -27,6 +27,7 @@ from .jets import KINKS, afresh
 from .kinks import KINK_KIND, KINK_ROW, POINT, SWITCHES, crossed_to
 from .places import (
     BENDS,
+    BEYOND_BY,
     BLUR,
     CROSSED,
     CROSSING,
@@ -35,12 +36,16 @@ from .places import (
     EVENT,
     FIELD,
     FIELD_PROGRAM,
+    GUARD_POWER,
     GUARDS,
     GUARDS_END,
     HARD,
     KIND,
+    LAST_USED,
     LOW,
+    MADE,
     NONE,
+    OWN,
     REACHES,
     SWITCH,
     WHEN,
@@ -58,6 +63,10 @@ WIDEST, LEAST_WIDE = 1e-4, 64.0
 #: Guards are looked at so many times as far from a kink as its own function shows its sign: of
 #: those that change beside it each has roundings of its own.
 WIDER = 4.0
+
+#: A state is beyond a kink by rounding alone as far as it was when the guard jumped there, or where
+#: rounding or another kink at the same place have it otherwise, by so many times this.
+ROUNDED = 64.0
 
 #: How often a shift of the size of rounding is doubled in search of the place beyond a kink: its
 #: function may be a difference of numbers that move at very different rates.
@@ -178,11 +187,25 @@ def at_kink(a: AutomatonArrays, now: Now, room: Room, program: int, h: float, re
             what = over(a, now, room, program, g, h, reach)
             if what == HARD:
                 return HARD
-            if what != NONE:
+            if what != NONE and comes_back(a, now, room, program, g, h):
+                now.signs[g - first] *= -1
+            elif what != NONE:
                 zero = now.zeros[g - first]
                 zero[WHEN], zero[BLUR], zero[REACHES] = h, 0.0, 1.0
                 fires = g if fires == NONE else fires
     return fires
+
+
+def comes_back(
+    a: AutomatonArrays, now: Now, room: Room, program: int, guard: int, h: float
+) -> bool:
+    """Whether a guard jumps back at the instant at which it has jumped, as its own reset has turned
+    the flow: the state is beyond the kink by rounding alone, and has not crossed it (1)."""
+    if a.guards[guard, OWN] != now.ints[LAST_USED] or now.ints[GUARD_POWER] > 0:
+        return False
+    c = room.c[kink_row(a, now, program)]
+    moved = power_size(c, 0, c.shape[0] - 1, h)
+    return now.ints[MADE] == 0 and moved <= ROUNDED * now.floats[BEYOND_BY]
 
 
 def over(
@@ -253,6 +276,7 @@ def beyond_kink(
         if moves > MOVES:
             return math.inf
         shift = 2.0 * shift if shift > 0.0 else spacing
+    now.floats[BEYOND_BY] = abs(value_then(a, now, room, program, row, tau, s + shift))
     size, _, _ = sizes_of(a, room, guard, now.floats[T] + tau + s, room.there)
     for k in range(JUMPS_WITHIN):
         value = value_then(a, now, room, program, own, tau, s + (shift + k * spacing))

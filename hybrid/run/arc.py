@@ -19,6 +19,7 @@ from ..lowering.automaton import DIRECTIONS
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arcs import FORESEEN_FAR, LANDINGS, SAFETY
+from ..rules.cuts import ROUNDED
 from ..rules.guards import GUARD_ROUNDING, TIE, TIED_IN_STEP, in_unit, shallow
 from ..rules.zeros import EPS
 from ..segment import Segment
@@ -95,7 +96,10 @@ class Flown:
 
 
 class ArcFlow:
-    """Flows one arc from an entry, to the time ``until`` at most (default: the end of the run)."""
+    """Flows one arc from an entry, to the time ``until`` at most (default: the end of the run).
+
+    ``carried``: the edge whose guard has just jumped over zero (:class:`.Jumped`).
+    """
 
     def __init__(
         self,
@@ -106,12 +110,13 @@ class ArcFlow:
         now: Instant,
         until: float | None = None,
         losses: Losses | None = None,
+        carried: str | None = None,
     ) -> None:
         self.scene, self.solver, self.plan, self.now = scene, solver, plan, now
         self.losses = Losses(plan, solver.whole, entry.x) if losses is None else losses
         self.until = plan.t1 if until is None else until
         self.field, self.x, self.series = entry.field, entry.x, entry.series
-        self.signs = entry.signs
+        self.signs, self.carried = entry.signs, carried
         self.orders = self.entered = entry.orders
         kept = plan.dense or plan.samples is not None or bool(scene.spec.lags)
         self.wanted = kept or bool(self.field.guards)
@@ -477,6 +482,8 @@ class ArcFlow:
         guard, shallow, over = self.field.guards[index], self.turning.pop(index, None), None
         for zero in found:
             passes = fires(guard.crossing, zero.direction)
+            if guard.edge == self.carried and self._at_start(zero):
+                continue
             if zero.cut is not None:
                 after = segment.start + zero.cut.after * segment.length
                 if self._over(guard, zero, zero.cut, segment) and self._holds(
@@ -510,6 +517,11 @@ class ArcFlow:
         if not fires(guard.crossing, shallow.direction):
             return None
         return Fired(index, max(shallow.tau, segment.start), shallow.direction)
+
+    def _at_start(self, zero: Zero) -> bool:
+        """Whether a zero is where the arc begins: a guard that has jumped comes back over the
+        place at which it has, beyond which the state is by rounding."""
+        return zero.tau <= ROUNDED * JUMPS_WITHIN * float(np.spacing(abs(self.now.t)))
 
     def _holds(self, guard: Guard, tau: float, segment: Segment, end: StateVector) -> bool:
         """Whether an edge's condition holds at a time within a step. Components that differ from

@@ -303,7 +303,7 @@ class Driver:
                 return Jumped(switch.vanishing(guard, field))
             own = [g for g in self.field.guards if g.edge == guard.edge and not self.forgets]
             come = jumps.came_by(self, own[0], before, x) if own else Jumped(used=guard.edge)
-            return come if vanishes else attrs.evolve(come, vanishing={})
+            return come if vanishes else attrs.evolve(come, vanishing={}, carried=True)
 
         self.begin(field, x, came)
 
@@ -337,7 +337,8 @@ class Driver:
         entry, now, memory = self.entry, self.record.now, self.record.memory
         (_, due), until = clocks.due(self, entry.field, entry.x), self.horizon
         self.losses.seen, last = self.seen, min(due, until)
-        arc = ArcFlow(self.scene, self.flies, self.plan, entry, now, last, self.losses)
+        known, jumped = (self.scene, self.flies, self.plan, entry, now, last), self.jumped
+        arc = ArcFlow(*known, self.losses, jumped.used if jumped.carried else None)
         flown = arc.run()
         self.steps += flown.steps
         if memory is not None:

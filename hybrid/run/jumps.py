@@ -58,7 +58,7 @@ def _reset(driver: Driver, guard: Guard, before: StateVector, carried: bool) -> 
     came = came_by(driver, guard, before, after)
     if carried or driver.forgets or has_jumped(driver, guard, before):
         came.vanishing = {}
-    came.held = driver.still_held(guard.to, after)
+    came.carried, came.held = carried, driver.still_held(guard.to, after)
     driver.watch.reset()
     if guard.to == TERMINATE:
         add_jump(driver, guard.edge, before, after)

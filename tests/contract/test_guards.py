@@ -1,5 +1,7 @@
 """A guard that jumps over zero fires there; one that has no value beyond is never passed."""
 
+from functools import cache
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -586,3 +588,48 @@ def test_a_jump_over_zero_at_the_end_of_a_step_fires_there(way, p, w, x, v):
     wraps = np.abs(turns - np.round(turns)) < 1e-9
     assert len(jumps) > 0
     assert np.all(wraps | (np.abs(value) < 1e-9))
+
+
+#: Functions with the sign of ``x``.
+SIGNED = {
+    "x": lambda x: x,
+    "sign": jnp.sign,
+    "where": lambda x: jnp.where(x < 0.0, -2.0, 3.0),
+    "floor": lambda x: jnp.floor(x) + 0.5,
+}
+
+
+@cache
+def reflected(name):
+    """An oscillator that loses speed where a function of its place changes its sign; ``back``: of
+    its speed, what it has then."""
+
+    class Reflected(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+        back: float = hy.parameter(-0.6)
+
+        @hy.mode(initial=True)
+        def on(self, t, s):
+            return s.v, -s.x
+
+        @hy.edge(on, to=on, guard=lambda self, t, s: SIGNED[name](s.x), crossing=hy.EITHER)
+        def hit(self, t, s):
+            return s.replace(v=self.back * s.v)
+
+    return Reflected
+
+
+@pytest.mark.parametrize("back", [-0.6, -0.05, 0.6])
+@pytest.mark.parametrize("name", SIGNED)
+def test_a_guard_that_jumps_fires_as_often_as_one_that_is_smooth(way, name, back):
+    """Once, also where its own reset turns the flow back: the state is beyond the jump by rounding
+    alone. Between impacts there is half a period."""
+    start, t1 = 2.0, 2.0 + 3.2 * np.pi
+    model = reflected(name)(back=back)
+    begin, tight = {"x": np.cos(0.1), "v": -np.sin(0.1)}, {"rtol": 1e-10, "atol": 1e-13}
+    result = way.run(model, begin, (start, t1), **tight)
+    times = start - 0.1 + np.pi * np.arange(0.5, 3.5)
+    speed = -(back**3) * np.cos(0.7 * np.pi + 0.1)
+    np.testing.assert_allclose(result.times, times, rtol=1e-8)
+    assert result.final.v == pytest.approx(speed, rel=1e-6)
