@@ -67,9 +67,6 @@ NUMBERED = {
     Kind.WINDOW: WINDOW_END,
 }
 
-#: Kinds of guards whose formula may change within the loop.
-MAY_BEND = (Kind.EDGE, Kind.CONTACT, Kind.SWITCH, Kind.LEAVE)
-
 #: The direction of zero crossing in which a guard fires; 0 is either.
 DIRECTIONS = {Crossing.FALLING: -1, Crossing.RISING: 1, Crossing.EITHER: 0}
 
@@ -228,7 +225,8 @@ class Tables:
     def _add(self, field: Field) -> None:
         base = self.number(self.scene.field(field.mode)) if field.held else len(self.fields)
         jets, first = field.jets, len(self._rows)
-        plain = not field.leans and jets is not None and all(map(self._may, field.guards))
+        plain = not field.leans and jets is not None
+        plain = plain and all(self._may(field, guard) for guard in field.guards)
         plain = plain and (not field.held or self.plain(base))
         watch = self._watch(field) if plain and self.others else -1
         plain = plain and (not self.others or watch >= 0)
@@ -262,12 +260,17 @@ class Tables:
             row[TO] = self.numbers.get(lead, row[TO])
         self._made = None
 
-    def _may(self, guard: Guard) -> bool:
-        """Whether the loop can watch a guard: if its formula changes, it must stay defined."""
+    def _may(self, field: Field, guard: Guard) -> bool:
+        """Whether the loop can watch a guard: if its formula changes, it must stay defined; and a
+        load changes it by a force, not as its contact is moved away, which ends it, too."""
         if not guard.kinks:
             return True
-        known = guard.kind in MAY_BEND and not self.scene.spec.lags
-        return known and all(kink.change != "ends" for kink in guard.kinks)
+        if self.scene.spec.lags or any(kink.change == "ends" for kink in guard.kinks):
+            return False
+        if guard.kind is not Kind.RELEASE:
+            return True
+        free = self.scene.field(field.mode)
+        return not free.guard(guard.edge.removesuffix(RELEASE_SUFFIX)).kinks
 
     def _lead(self, field: Field, guard: Guard) -> str:
         """Name of the field to which a guard leads; a jump within the mode keeps all contacts held.

@@ -120,7 +120,8 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     elif made and (low_flight or onto(a, now.ints[FIELD], t, now.end, room, now.end)):
         if kind == RELEASE:
             status, used = LANDED, a.guards[guard, REST]
-            power = RISES if now.floats[TAU] > 0.0 else PULLED
+            rises = now.floats[TAU] > 0.0 and not beyond(a, now, guard)
+            power = RISES if rises else PULLED
             copied(now.end, before)
             copied(now.end, behind)
         elif kind in (EDGE, CLOCK):
@@ -165,7 +166,7 @@ def on_surface(
     fit = onto(a, now.ints[FIELD], t, now.end, room, before)
     copied(before, behind)
     if a.guards[guard, KIND] == LEAVE:
-        return LANDED if fit else JUMP, to, own, 2
+        return LANDED if fit else JUMP, to, own, 1 if beyond(a, now, guard) else 2
     what = follows(a, now, room, t, before)
     if what == CROSSES:
         return LANDED, to, own, 1

@@ -29,10 +29,10 @@ from .places import (
     BENDS,
     BEYOND_BY,
     BLUR,
+    CONTACT,
     CROSSED,
     CROSSING,
     CUT,
-    EDGE,
     EVENT,
     FIELD,
     FIELD_PROGRAM,
@@ -42,12 +42,13 @@ from .places import (
     HARD,
     KIND,
     LAST_USED,
+    LEAVE,
     LOW,
     MADE,
     NONE,
     OWN,
     REACHES,
-    SWITCH,
+    RELEASE,
     WHEN,
     T,
 )
@@ -200,12 +201,13 @@ def comes_back(
     a: AutomatonArrays, now: Now, room: Room, program: int, guard: int, h: float
 ) -> bool:
     """Whether a guard jumps back at the instant at which it has jumped, as its own reset has turned
-    the flow: the state is beyond the kink by rounding alone, and has not crossed it (1)."""
+    the flow and has left the state beyond: it is there by rounding alone, and has not crossed the
+    kink (1)."""
     if a.guards[guard, OWN] != now.ints[LAST_USED] or now.ints[GUARD_POWER] > 0:
         return False
     c = room.c[kink_row(a, now, program)]
-    moved = power_size(c, 0, c.shape[0] - 1, h)
-    return now.ints[MADE] == 0 and moved <= ROUNDED * now.floats[BEYOND_BY]
+    off = now.floats[BEYOND_BY] * now.signs[guard - a.fields[now.ints[FIELD], GUARDS]]
+    return now.ints[MADE] == 0 and power_size(c, 0, c.shape[0] - 1, h) <= ROUNDED * off
 
 
 def over(
@@ -234,9 +236,10 @@ def over(
     if beyond * side > 0.0 and least > noise:
         return NONE
     smooth = abs(there - expected) <= noise and -beyond * side <= noise
-    if smooth or a.guards[guard, KIND] not in (EDGE, SWITCH):
+    kind, crossing = a.guards[guard, KIND], a.guards[guard, CROSSING]
+    lasts = kind in (RELEASE, LEAVE) and abs(beyond) <= noise  # it holds until it falls below
+    if smooth or lasts or kind == CONTACT:
         return HARD
-    crossing = a.guards[guard, CROSSING]
     if (crossing == 0 or side * crossing < 0) and holds(a, room, guard, t + h, room.there):
         return guard
     if abs(beyond) <= noise:
@@ -276,7 +279,8 @@ def beyond_kink(
         if moves > MOVES:
             return math.inf
         shift = 2.0 * shift if shift > 0.0 else spacing
-    now.floats[BEYOND_BY] = abs(value_then(a, now, room, program, row, tau, s + shift))
+    off = abs(value_then(a, now, room, program, row, tau, s + shift))
+    now.floats[BEYOND_BY] = -now.signs[place] * off
     size, _, _ = sizes_of(a, room, guard, now.floats[T] + tau + s, room.there)
     for k in range(JUMPS_WITHIN):
         value = value_then(a, now, room, program, own, tau, s + (shift + k * spacing))

@@ -99,7 +99,7 @@ DUE = 9  # the time of the clock that rings first
 PULL = 10  # the force that draws a contact back in the flight from it; 0 if it is not known
 SERIES_REACH = 11  # the length of the last step of the whole order that its series ended
 STEPS_LOST = 12  # what another solver's steps have lost, in tolerances (:mod:`.ties`)
-BEYOND_BY = 13  # the value, behind it, of the function of the kink at which a guard jumped last
+BEYOND_BY = 13  # how far beyond its kink a guard jumped last, with the guard's sign there
 STATE_FLOATS = 14
 
 #: Integers of the current state.

@@ -302,8 +302,10 @@ class Driver:
             if guard.kind in ("switch", "leave"):
                 return Jumped(switch.vanishing(guard, field))
             own = [g for g in self.field.guards if g.edge == guard.edge and not self.forgets]
-            come = jumps.came_by(self, own[0], before, x) if own else Jumped(used=guard.edge)
-            return come if vanishes else attrs.evolve(come, vanishing={}, carried=True)
+            if not own:
+                return Jumped(used=guard.edge)
+            come = jumps.came_by(self, own[0], before, x, carried=not vanishes)
+            return come if vanishes else attrs.evolve(come, vanishing={})
 
         self.begin(field, x, came)
 

@@ -55,10 +55,10 @@ def _reset(driver: Driver, guard: Guard, before: StateVector, carried: bool) -> 
     t = driver.t
     after = np.array(driver.scene.reset(guard.edge)(t, before.tolist()))
     _require_finite(driver, guard.edge, before, after)
-    came = came_by(driver, guard, before, after)
+    came = came_by(driver, guard, before, after, carried)
     if carried or driver.forgets or has_jumped(driver, guard, before):
         came.vanishing = {}
-    came.carried, came.held = carried, driver.still_held(guard.to, after)
+    came.held = driver.still_held(guard.to, after)
     driver.watch.reset()
     if guard.to == TERMINATE:
         add_jump(driver, guard.edge, before, after)
@@ -68,14 +68,18 @@ def _reset(driver: Driver, guard: Guard, before: StateVector, carried: bool) -> 
         driver.enter(guard.to, after, came)
 
 
-def came_by(driver: Driver, guard: Guard, before: StateVector, after: StateVector) -> Jumped:
-    """What a reset tells about the state after it: whether its guard has kept its value, and
-    whether the guard still moves in the same direction."""
+def came_by(
+    driver: Driver, guard: Guard, before: StateVector, after: StateVector, carried: bool
+) -> Jumped:
+    """What a reset tells about the state after it: whether its guard has kept its value, whether
+    the guard still moves in the same direction, and whether it has been ``carried`` over zero and
+    still is beyond."""
     here, there = (guard.lie(driver.t, x.tolist()) for x in (before, after))
     onwards = here[1] * there[1] > 64 * EPS * here[1] * here[1]
     beyond = guard.urgent and has_jumped(driver, guard, before)
     known = {guard.edge: 1} if here[0] == there[0] and not beyond else {}
-    return Jumped(known, used=guard.edge, onwards=bool(onwards))
+    carried = carried and here[0] * there[0] > 0
+    return Jumped(known, used=guard.edge, onwards=bool(onwards), carried=bool(carried))
 
 
 def has_jumped(driver: Driver, guard: Guard, x: StateVector) -> bool:
