@@ -393,3 +393,26 @@ def test_jumps_together_that_neighbours_have_apart_are_refused():
     apart = hy.simulate(Pair(), [1.0, 1.1, 0.0, 0.0], (0.0, 3.0), **FINE)
     exact = differences(Pair(), np.array([1.0, 1.1, 0.0, 0.0]), (0.0, 3.0), 1e-3)
     np.testing.assert_allclose(variation(Pair(), apart), exact, atol=1e-8)
+
+
+def test_iterates_do_not_pass_over_impacts_that_drown_in_rounding():
+    """On a table that moves, a state tells an impact from rest only for so long."""
+    from models.bead_on_table import BeadOnTable
+
+    model, start = BeadOnTable(amplitude=0.32, omega=5.6, r=0.13), {"x": 1.0, "v": 0.0}
+    impacts = hy.return_map(model, "impact", solver="taylor")
+    run = hy.simulate(model, start, (0, 1), solver="taylor")
+    np.testing.assert_allclose(impacts.iterate(start, 3).t[1:], run.jumps.t[:3], rtol=1e-12)
+    with pytest.raises(hy.OrbitError, match=r"accumulate.*no longer tells them from rest"):
+        impacts.iterate(start, 40)
+
+
+def test_iterates_go_on_from_an_impact_that_leaves_no_speed():
+    """With r = 0 a bead rests from the first impact on; the next is that after a release."""
+    from models.bead_on_table import BeadOnTable
+
+    model, start = BeadOnTable(amplitude=0.32, omega=5.6, r=0.0), {"x": 1.0, "v": 0.0}
+    found = hy.return_map(model, "impact", solver="taylor").iterate(start, 4)
+    run = hy.simulate(model, start, (0, found.t[-1] + 0.1), solver="taylor")
+    impacts = [jump.t for jump in run.jumps if jump.edge == "impact"]
+    np.testing.assert_allclose(found.t[1:], impacts[:4], rtol=1e-12)
