@@ -397,8 +397,6 @@ def test_jumps_together_that_neighbours_have_apart_are_refused():
 
 def test_iterates_do_not_pass_over_impacts_that_drown_in_rounding():
     """On a table that moves, a state tells an impact from rest only for so long."""
-    from models.bead_on_table import BeadOnTable
-
     model, start = BeadOnTable(amplitude=0.32, omega=5.6, r=0.13), {"x": 1.0, "v": 0.0}
     impacts = hy.return_map(model, "impact", solver="taylor")
     run = hy.simulate(model, start, (0, 1), solver="taylor")
@@ -409,10 +407,34 @@ def test_iterates_do_not_pass_over_impacts_that_drown_in_rounding():
 
 def test_iterates_go_on_from_an_impact_that_leaves_no_speed():
     """With r = 0 a bead rests from the first impact on; the next is that after a release."""
-    from models.bead_on_table import BeadOnTable
-
     model, start = BeadOnTable(amplitude=0.32, omega=5.6, r=0.0), {"x": 1.0, "v": 0.0}
     found = hy.return_map(model, "impact", solver="taylor").iterate(start, 4)
     run = hy.simulate(model, start, (0, found.t[-1] + 0.1), solver="taylor")
     impacts = [jump.t for jump in run.jumps if jump.edge == "impact"]
     np.testing.assert_allclose(found.t[1:], impacts[:4], rtol=1e-12)
+
+
+class Clocked(hy.Automaton):
+    """A ball that comes to rest at t = 3, beside something that turns once in 2 pi."""
+
+    x = hy.state()
+    v = hy.state()
+    angle = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0, 1.0
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+
+@pytest.mark.parametrize("at", [0.5, 1.5, 2.3, 2.7, 2.999, 3.5])
+def test_a_surface_is_met_in_a_series_of_impacts_too(solver, at):
+    """The series is summed from the second impact on, at t = 2; the next turn would come later."""
+    turns = hy.return_map(Clocked(), lambda self, t, s: jnp.sin(s.angle - at), **solver)
+    start = {"x": 1.0, "v": 0.0, "angle": 0.0}
+    run = turns.run(start)
+    assert run.t1 == pytest.approx(at, abs=1e-7)
+    flown = hy.simulate(Clocked(), start, (0, run.t1), **solver)
+    assert run.final.x == pytest.approx(flown.final.x, abs=1e-7)
+    assert len(run.jumps) == len(flown.jumps)

@@ -19,6 +19,7 @@ from ..result import Trajectory
 from ..run.options import require_count, require_taken, start_of, time_of
 from ..run.sections import EdgeSection, Period, Return, Section, Surface, section_of
 from ..simulation import simulate
+from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Status
 from ..variation.carried import WINDOW_SPACINGS
 from .cut import cut
@@ -160,7 +161,7 @@ class ReturnMap:
         """Refuse to go on from an impact that leaves a speed which drowns in the rounding of the
         state: the run from there rests, and passes over the impacts that follow."""
         name, first = str(getattr(self.section, "name", "")), run.parts[0]
-        if not self.scene.is_contact(name) or name not in parted(first.mode)[1]:
+        if not isinstance(first, Arc) or name not in parted(first.mode)[1]:
             return
         if self.scene.contact(name).law(run.t0, first.first.tolist(), -0.0) > 0.0:
             raise OrbitError(
