@@ -438,3 +438,12 @@ def test_a_surface_is_met_in_a_series_of_impacts_too(solver, at):
     flown = hy.simulate(Clocked(), start, (0, run.t1), **solver)
     assert run.final.x == pytest.approx(flown.final.x, abs=1e-7)
     assert len(run.jumps) == len(flown.jumps)
+
+
+def test_lanes_meet_a_surface_in_a_series_of_impacts_too():
+    """As a return map does."""
+    start = {"x": [1.0, 1.2], "v": 0.0, "angle": 0.0}
+    asked = {"section": lambda self, t, s: s.angle - 2.3, "keep": 2}
+    lanes = hy.ensemble(Clocked(), start, (0, 8), solver="taylor", **asked)
+    assert lanes.hits.values.tolist() == [1, 1]
+    np.testing.assert_allclose(lanes.t_section.values[:, 0], 2.3, rtol=1e-12)
