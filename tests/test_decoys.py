@@ -33,6 +33,38 @@ def test_harmonic_gaps_never_accumulate(reference):
     assert run.jumps.t[99] == pytest.approx(5.1873775176396202608, abs=1e-11)
 
 
+class LeastTurn(hy.Automaton):
+    """Turns that shrink by halves, but to a least length: they take for ever."""
+
+    x = hy.state()
+    y = hy.state()
+    least: float = hy.parameter(0.0)
+
+    @hy.mode(initial=True)
+    def fall(self, t, s):
+        return -1.0, 0.0
+
+    @hy.mode(limit_of=("drop",))
+    def after(self, t, s):
+        return 1.0, 0.0
+
+    @hy.edge(fall, to=fall, guard=lambda self, t, s: s.x)
+    def drop(self, t, s):
+        shorter = 0.5 * (s.y + self.least)
+        return s.replace(x=shorter, y=shorter)
+
+
+@pytest.mark.parametrize("least", [0.0, 1e-10, 1e-9, 1e-8])
+def test_turns_that_tend_to_a_least_length_never_accumulate(solver, least):
+    """However little that is: the guard at the limit of the states is not zero."""
+    run = hy.simulate(LeastTurn(least=least), {"x": 1.0, "y": 1.0}, (0, 3), max_jumps=200, **solver)
+    if least:
+        assert run.status is hy.Status.MAX_JUMPS
+        assert not run.zeno
+    else:
+        assert abs(run.zeno[0].t - 2.0) <= run.zeno[0].t_error < 1e-11
+
+
 def test_elastic_impacts_never_accumulate():
     """r = 1: the gaps do not shrink."""
     run = hy.simulate(BouncingBall(r=1.0), {"x": 1.0, "v": 0.0}, (0, 20))

@@ -393,3 +393,57 @@ def test_jumps_together_that_neighbours_have_apart_are_refused():
     apart = hy.simulate(Pair(), [1.0, 1.1, 0.0, 0.0], (0.0, 3.0), **FINE)
     exact = differences(Pair(), np.array([1.0, 1.1, 0.0, 0.0]), (0.0, 3.0), 1e-3)
     np.testing.assert_allclose(variation(Pair(), apart), exact, atol=1e-8)
+
+
+def test_iterates_do_not_pass_over_impacts_that_drown_in_rounding():
+    """On a table that moves, a state tells an impact from rest only for so long."""
+    model, start = BeadOnTable(amplitude=0.32, omega=5.6, r=0.13), {"x": 1.0, "v": 0.0}
+    impacts = hy.return_map(model, "impact", solver="taylor")
+    run = hy.simulate(model, start, (0, 1), solver="taylor")
+    np.testing.assert_allclose(impacts.iterate(start, 3).t[1:], run.jumps.t[:3], rtol=1e-12)
+    with pytest.raises(hy.OrbitError, match=r"accumulate.*no longer tells them from rest"):
+        impacts.iterate(start, 40)
+
+
+def test_iterates_go_on_from_an_impact_that_leaves_no_speed():
+    """With r = 0 a bead rests from the first impact on; the next is that after a release."""
+    model, start = BeadOnTable(amplitude=0.32, omega=5.6, r=0.0), {"x": 1.0, "v": 0.0}
+    found = hy.return_map(model, "impact", solver="taylor").iterate(start, 4)
+    run = hy.simulate(model, start, (0, found.t[-1] + 0.1), solver="taylor")
+    impacts = [jump.t for jump in run.jumps if jump.edge == "impact"]
+    np.testing.assert_allclose(found.t[1:], impacts[:4], rtol=1e-12)
+
+
+class Clocked(hy.Automaton):
+    """A ball that comes to rest at t = 3, beside something that turns once in 2 pi."""
+
+    x = hy.state()
+    v = hy.state()
+    angle = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0, 1.0
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+
+@pytest.mark.parametrize("at", [0.5, 1.5, 2.3, 2.7, 2.999, 3.5])
+def test_a_surface_is_met_in_a_series_of_impacts_too(solver, at):
+    """The series is summed from the second impact on, at t = 2; the next turn would come later."""
+    turns = hy.return_map(Clocked(), lambda self, t, s: jnp.sin(s.angle - at), **solver)
+    start = {"x": 1.0, "v": 0.0, "angle": 0.0}
+    run = turns.run(start)
+    assert run.t1 == pytest.approx(at, abs=1e-7)
+    flown = hy.simulate(Clocked(), start, (0, run.t1), **solver)
+    assert run.final.x == pytest.approx(flown.final.x, abs=1e-7)
+    assert len(run.jumps) == len(flown.jumps)
+
+
+def test_lanes_meet_a_surface_in_a_series_of_impacts_too():
+    """As a return map does."""
+    start = {"x": [1.0, 1.2], "v": 0.0, "angle": 0.0}
+    asked = {"section": lambda self, t, s: s.angle - 2.3, "keep": 2}
+    lanes = hy.ensemble(Clocked(), start, (0, 8), solver="taylor", **asked)
+    assert lanes.hits.values.tolist() == [1, 1]
+    np.testing.assert_allclose(lanes.t_section.values[:, 0], 2.3, rtol=1e-12)

@@ -224,7 +224,44 @@ def test_a_series_cut_off_in_a_run_too_short_for_it_says_so():
     ball, start = BouncingBall(g=2.0, r=0.5), {"x": 1.0, "v": 0.0}  # t_inf = 3
     run = hy.simulate(ball, start, (0, 2.5), zeno="truncate")
     assert math.isnan(run.zeno[0].truncation.t_inf)
-    assert "in full it would not have ended within the run" in run.explain()
+    assert "it would have gone on to another jump or to the end of the run" in run.explain()
+
+
+def test_what_is_cut_off_may_rise_higher_later():
+    """A table throws a bead higher than the first impact left out; all flights are looked at."""
+    model, start, span = BeadOnTable(amplitude=0.2, omega=7.0, r=0.7), {"x": 1.0, "v": 0.0}, (0, 6)
+    cut = hy.simulate(model, start, span, zeno="truncate", max_jumps=1, rtol=1e-12).zeno[0]
+    full = hy.simulate(model, start, span, rtol=1e-12, zeno="stop")
+    times = np.linspace(cut.t, full.t1, 4001)
+    highest = (full(times).x - 0.2 * np.sin(7.0 * times)).max()
+    assert math.isfinite(cut.truncation.t_inf)
+    assert highest <= cut.truncation.height < 1.0001 * highest
+
+
+class Corner(hy.Automaton):
+    """A ball that strikes a wall while it bounces."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0, s.w, 0.0
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+    wall = hy.contact(flight, gap=lambda self, t, s: 1.0 - s.y, restitution=0.5)
+
+
+@pytest.mark.parametrize(("w", "ends"), [(0.45, False), (0.05, True)])
+def test_a_series_cut_off_ends_at_another_jump(w, ends):
+    """Impacts that accumulate after that are another series (the floor's would, at t = 3)."""
+    start = {"x": 1.0, "v": 0.0, "y": 0.0, "w": w}
+    run = hy.simulate(Corner(), start, (0, 5), zeno="truncate", max_jumps=1)
+    cut = run.zeno[0].truncation
+    assert cut.t_inf == pytest.approx(3.0 if ends else math.nan, nan_ok=True)
+    assert cut.height == pytest.approx(0.25)
 
 
 def test_the_floor_of_one_over_r_is_exact():

@@ -25,7 +25,10 @@ def cut(run: Trajectory, at: Return) -> Trajectory:
         end = Arc(after.mode, part.j + 1, jump.t, jump.low, 0.0, jump.t, jump.after, jump.after, ())
         kept, jumps[at.part] = [*kept, part, end], jump
     else:
-        assert isinstance(part, Arc)
+        if not isinstance(part, Arc):
+            kept += [part.arc(n) for n in range(at.flight)]
+            jumps |= {at.part + n: part.jump(n + 1) for n in range(at.flight)}
+            part = part.arc(at.flight)
         segments = part.segments
         last = bisect_right([segment.start for segment in segments], at.tau) - 1
         shorter = [*segments[:last], segments[last].cut(at.tau - segments[last].start)]

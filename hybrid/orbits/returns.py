@@ -14,10 +14,12 @@ from ..automaton.markers import RISING, TERMINATE, Crossing
 from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import scene_of
+from ..lowering.scene import parted
 from ..result import Trajectory
 from ..run.options import require_count, require_taken, start_of, time_of
 from ..run.sections import EdgeSection, Period, Return, Section, Surface, section_of
 from ..simulation import simulate
+from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Status
 from ..variation.carried import WINDOW_SPACINGS
 from .cut import cut
@@ -146,12 +148,27 @@ class ReturnMap:
         return Iterates(self.scene.spec, points)
 
     def _points(self, point: Point, n: int) -> Iterator[Point]:
-        for _ in range(n):
+        for made in range(n):
             run = self._from(point)
+            if made:
+                self._require_flown(run)
             last = run.mode
             history = run.hindsight.before(len(run.parts) - 1, run.t1)
             point = Point(run.t1, run.parts[-1].last, last, history)
             yield point
+
+    def _require_flown(self, run: Trajectory) -> None:
+        """Refuse to go on from an impact that leaves a speed which drowns in the rounding of the
+        state: the run from there rests, and passes over the impacts that follow."""
+        name, first = str(getattr(self.section, "name", "")), run.parts[0]
+        if not isinstance(first, Arc) or name not in parted(first.mode)[1]:
+            return
+        if self.scene.contact(name).law(run.t0, first.first.tolist(), -0.0) > 0.0:
+            raise OrbitError(
+                f"{run.spec.model}: the impacts of {name!r} accumulate, and about t = {run.t0:.9g} "
+                f"the state no longer tells them from rest; ask for fewer returns, or for "
+                f"those to '{name}.release'"
+            )
 
     def _vector(self, state: Any) -> StateVector:
         if isinstance(state, np.ndarray) and state.shape == (self.scene.spec.dimension,):

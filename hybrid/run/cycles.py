@@ -34,8 +34,10 @@ if TYPE_CHECKING:
 #: Most jumps that are remembered.
 REMEMBERED_JUMPS = 1 << 14
 
-#: The largest value at the limit of guards, and of what resets change, relative to the first turn.
-ZERO = 1e-6
+#: The largest value at the limit of guards, and of what resets change, relative to the first turn,
+#: beside what is not known of the states there. (Turns may shrink to a length that is small against
+#: the first, and not zero.)
+ZERO = 1e-12
 
 #: Jumps within so many spacings of floats are at one time.
 TICKS = 4

@@ -29,10 +29,14 @@ STARTS = 1e-8
 
 @attrs.frozen
 class Return:
-    """Where a run meets a section: in which part, how long after that part began."""
+    """Where a run meets a section: in which part, how long after that part began.
+
+    ``flight``: in a summed series, the flight from whose start ``tau`` counts.
+    """
 
     part: int
     tau: float
+    flight: int = 0
 
 
 @attrs.frozen
@@ -74,11 +78,13 @@ class Surface:
         return "the surface"
 
     def returns(self, run: Solution) -> Iterator[Return]:
-        """The crossings after the start (not within a summed series of impacts)."""
+        """The crossings after the start, those in flights of a summed series of impacts too."""
         for index, part in enumerate(run.parts):
-            if isinstance(part, Arc):
-                for tau in self.crossings(part, starts=part.t0 <= run.t0):
-                    yield Return(index, tau)
+            flights = 1 if isinstance(part, Arc) else part.tail.count + 1
+            for flight in range(flights):
+                arc = part if isinstance(part, Arc) else part.arc(flight)
+                for tau in self.crossings(arc, starts=arc.t0 <= run.t0):
+                    yield Return(index, tau, flight)
 
     def crossings(self, arc: Arc, starts: bool) -> Iterator[float]:
         """The local times of an arc; ``starts``: on the section, it may start there."""

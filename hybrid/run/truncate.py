@@ -17,7 +17,7 @@ import numpy as np
 from ..lowering import Contact, Field
 from ..segment import nodes
 from ..trajectory.accumulation import Accumulation, Truncation
-from ..trajectory.arcs import Part, TailPart
+from ..trajectory.arcs import Arc, Part, TailPart
 from ..zeno.flight import rise
 from .entry import Jumped
 from .noting import add_jump
@@ -27,9 +27,15 @@ if TYPE_CHECKING:
     from .driver import Driver
 
 
+#: Impacts of a sum whose speed is this share of the first or less lead to no higher flight: heights
+#: fall like the square of the speeds, unless the force falls to a hundredth on the way.
+FALLEN = 0.1
+
+
 def permitted(r: float) -> int:
-    """``[1/r]`` from the simplest fraction that rounds to ``r``, so that 1/93 gives 93."""
-    return int(1 / Fraction(r).limit_denominator(10**6)) if r > 1e-6 else 10**6
+    """``[1/r]`` from the simplest fraction that rounds to ``r``, so that 1/93 gives 93; never
+    less than the one impact that there has been."""
+    return max(int(1 / Fraction(r).limit_denominator(10**6)), 1) if r > 1e-6 else 10**6
 
 
 def hold(driver: Driver, contact: Contact, x: StateVector, field: Field) -> bool:
@@ -62,7 +68,8 @@ def _left_out(
     """``t_inf`` of the full series, the time from here to it, and its greatest height.
 
     The time is the sum of the flights, and the height is measured by a gap that is a coordinate of
-    its own: both stay accurate below the spacing of floats around ``t`` and ``x``.
+    its own: both stay accurate below the spacing of floats around ``t`` and ``x``. A jump of
+    another edge ends the series: what accumulates after it is not its limit.
     """
     plan = attrs.evolve(driver.plan, zeno="stop", progress=None, dense=True, samples=None)
     full = type(driver)(driver.model, driver.solver, plan)
@@ -71,21 +78,29 @@ def _left_out(
     full.record.memory = memory.fork() if memory is not None else None
     full.record.now, full.watch.contact, full.watch.count = driver.record.now, contact.name, 1
     column = field.column(contact.name)
-    guard = field.guards[column]
-    full.fly_on(field, guard, x)
+    full.fly_on(field, field.guards[column], x)
     full.go_on()
-    parts, _ = full.record.log.apart()
-    height = _height(parts[0], field, column)
-    if not full.record.zeno:
+    parts, jumps = full.record.log.apart()
+    others = [place for place, jump in jumps.items() if jump.edge != contact.name]
+    series = parts[: min(others, default=len(parts)) + 1]
+    height = max(_height(arc, field, column) for part in series for arc in _highest(part))
+    if others or not full.record.zeno or full.record.zeno[0].edges != (contact.name,):
         return float("nan"), float("nan"), height
-    lengths = [p.tail.remaining if isinstance(p, TailPart) else p.length for p in parts]
+    lengths = [p.tail.remaining if isinstance(p, TailPart) else p.length for p in series]
     return full.record.zeno[0].t, fsum(lengths), height
 
 
-def _height(part: Part, field: Field, column: int) -> float:
-    """How far the gap opens on the first flight of a part."""
-    arc, guard = part.arc(0) if isinstance(part, TailPart) else part, field.guards[column]
-    x = arc.first.tolist()
+def _highest(part: Part) -> list[Arc]:
+    """The flights of a part among which the highest is."""
+    if not isinstance(part, TailPart):
+        return [part]
+    lasts = part.tail.r ** np.arange(part.tail.count + 1)
+    return [part.arc(n) for n in range(int(np.sum(lasts >= FALLEN)))]
+
+
+def _height(arc: Arc, field: Field, column: int) -> float:
+    """How far the gap opens on a flight."""
+    guard, x = field.guards[column], arc.first.tolist()
     height = rise(field, column, arc.t0, x, guard.lie(arc.t0, x)[1])
     if height is not None:
         return height

@@ -34,7 +34,8 @@ class Truncation:
     impacts : int
         Impacts permitted.
     t_inf : float
-        End of the full series (NaN if it does not accumulate from here within the run).
+        End of the full series (NaN if it does not accumulate within the run, with no other jump
+        before).
     gap : float
         ``t_inf`` minus the time of the last permitted impact.
     height : float
@@ -240,7 +241,7 @@ def explain(point: Accumulation) -> str:
 def _explain_truncation(point: Accumulation, cut: Truncation) -> str:
     ended = f"have ended at t_inf = {cut.t_inf!r}, {cut.gap:.3g} later"
     if isnan(cut.t_inf):
-        ended = "not have ended within the run"
+        ended = "have gone on to another jump or to the end of the run"
     return (
         f"At t = {point.t!r} the series of {', '.join(point.edges)} was cut off after "
         f"{cut.impacts} impacts (zeno='truncate') and the contact is held; in full it would "
