@@ -209,6 +209,18 @@ def test_without_a_mode_to_go_on_in_the_run_stops():
     assert hy.simulate(TwoTanks(), start, (0, 30), zeno="stop").status is hy.Status.ZENO_STOPPED
 
 
+def test_only_series_of_impacts_are_cut_off():
+    """A cycle of edges passes its limit: jump by jump it would go on beyond, by rounding."""
+    start, runs = {"x1": 8.0, "x2": 6.0}, []
+    for zeno in ("rest", "truncate"):
+        runs.append(hy.simulate(TwoTanks(), start, (0, 30), solver="taylor", zeno=zeno))
+    rests, cut = runs
+    assert cut.status is hy.Status.REACHED_END
+    assert cut.mode == "shares"
+    assert cut.zeno[0].t == pytest.approx(rests.zeno[0].t, abs=rests.zeno[0].t_error)
+    assert [float(x) for x in cut.final] == pytest.approx([float(x) for x in rests.final])
+
+
 def test_a_limit_of_unknown_edges_is_a_fault():
     """The declaration names the mode and what there is."""
     with pytest.raises(hy.DeclarationError, match=r"limit_of=.*'gone' is no edge; there are: go"):

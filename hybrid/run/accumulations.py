@@ -158,8 +158,8 @@ def _go_on_from(
     at_rest: StateVector | None = None,
 ) -> None:
     """Record an accumulation and begin what follows it: a mode and the contacts held there."""
-    record, zeno = driver.record, driver.plan.zeno
-    rest = driver.scene.name(*after) if after and zeno == "rest" else None
+    record, goes_on = driver.record, driver.plan.zeno in ("rest", "truncate")
+    rest = driver.scene.name(*after) if after and goes_on else None
     state = driver.scene.spec.record(limit.x_inf)
     point = Accumulation(driver.t, state, ratio, edges, "estimated", rest, record.j)
     if isinstance(limit, Tail):
@@ -172,7 +172,7 @@ def _go_on_from(
     driver.watch.reset()
     driver.cycles.forget()
     if rest is None:
-        driver.status = Status.NO_REST if zeno == "rest" else Status.ZENO_STOPPED
+        driver.status = Status.NO_REST if goes_on else Status.ZENO_STOPPED
     elif len(record.zeno) == driver.plan.accumulations:
         driver.status = Status.ZENO_STOPPED
     if after and at_rest is not None:

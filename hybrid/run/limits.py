@@ -131,7 +131,7 @@ def pass_limit(driver: Driver, mode: str) -> bool:
     ``mode``: the mode that the last jump leads to.
     """
     plan, cycles = driver.plan, driver.cycles
-    passes = plan.zeno in ("truncate", "ignore") or driver.status is not None
+    passes = plan.zeno == "ignore" or driver.status is not None
     passes = passes or driver.scene.field(mode).hurried
     if passes or _summed(driver.scene, cycles):
         return False
