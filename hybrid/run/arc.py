@@ -19,8 +19,15 @@ from ..lowering.automaton import DIRECTIONS
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arcs import FORESEEN_FAR, LANDINGS, SAFETY
-from ..rules.cuts import ROUNDED
-from ..rules.guards import GUARD_ROUNDING, TIE, TIED_IN_STEP, in_unit, shallow
+from ..rules.cuts import MOVES, ROUNDED
+from ..rules.guards import (
+    GUARD_ROUNDING,
+    JUMPS_WITHIN,
+    TIE,
+    TIED_IN_STEP,
+    in_unit,
+    shallow,
+)
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
@@ -28,7 +35,7 @@ from ..solvers.base import NO_FLOW_HERE
 from ..trajectory.clock import Instant
 from ..trajectory.plan import Plan
 from ..zeno.flight import falls
-from .entry import MOVES, Entry, describe, expand, heading, opened, side_before
+from .entry import Entry, describe, expand, heading, opened, side_before
 from .kinked import begin
 from .losses import MAY_HIDE, Losses
 from .pace import Pace
@@ -41,10 +48,6 @@ REACH = 8.0
 
 #: A step made onto a predicted event may miss it by this share of the arc.
 AIMED = 1e-6
-
-#: A guard jumps within so many spacings of the time from the zero of the function that decides:
-#: four for each of a quotient, a product and a sine (:func:`..events._wider`), four for the place.
-JUMPS_WITHIN = 16
 
 
 @attrs.frozen

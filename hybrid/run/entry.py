@@ -17,6 +17,7 @@ from ..lowering import Field, Guard, Kink, Scene, released
 from ..lowering.automaton import DIRECTIONS, NUMBERED
 from ..lowering.local import near
 from ..rules import unit
+from ..rules.cuts import MOVES
 from ..rules.entries import BEYOND, FIRES, LEAVES, OUTSIDE, UNDECIDED
 from ..rules.guards import GUARD_ROUNDING, NEAR, TIE
 from ..rules.zeros import EPS
@@ -25,10 +26,6 @@ if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
     from ..trajectory.clock import Instant
     from .driver import Driver
-
-#: How often a step of rounding's size is doubled in search of the place where a deciding function
-#: leaves zero: it is a difference of numbers that may move at very different rates.
-MOVES = 27
 
 #: What there is to do about a start, or a jump, outside a domain: of a contact or not, starting.
 OUTSIDE_REMEDIES = {

@@ -18,11 +18,12 @@ from ..events import SHARES, Cut, among, cuts
 from ..lowering import Field, Kink
 from ..lowering.lowered import ORDER
 from ..rules import unit
+from ..rules.cuts import MOVES
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from ..solvers.base import LEADS_BACK
-from .entry import MOVES, beyond_kinks
+from .entry import beyond_kinks
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, StateVector
