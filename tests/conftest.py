@@ -96,8 +96,14 @@ def pytest_configure(config):
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
+def pytest_collection():
+    """While classes are made little is garbage, and it takes a third of the time to look."""
+    gc.disable()
+
+
 def pytest_collection_finish():
     """What is there before the first test stays: no collection of garbage looks through it."""
+    gc.enable()
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
