@@ -4,6 +4,7 @@ import contextlib
 import ctypes
 import gc
 import json
+import os
 import resource
 import signal
 from collections import defaultdict
@@ -15,6 +16,7 @@ import jax
 import pytest
 
 from hybrid import solvers
+from hybrid.lowering.jit import XLA_OPTIONS
 from hybrid.rules import unit
 from hybrid.rules.load import cache_folder
 
@@ -26,8 +28,9 @@ ACCURATE = ["DOP853", "taylor", "Dopri8"]
 #: Second methods of a mechanism.
 SECOND = [name for name in SOLVERS if name not in MECHANISMS]
 
-#: Diffrax's programs are traced anew for each class, which takes longer than most tests.
-TRACED = {"Dopri8", "diffrax"}
+#: Ways that take longer than the others, and which deal says what third of the tests meets each:
+#: Diffrax's programs are traced anew for each class, and implicit steps are made in Python.
+COSTLY = {"Dopri8": 0, "diffrax": 0, "Radau": 1}
 
 #: Bytes of memory from which on a worker gives back what it no longer needs: two workers of the
 #: suite then fit where there are 8 GB.
@@ -79,15 +82,28 @@ def _rules_are_compiled():
         unit(name)
 
 
-def pytest_configure():
-    """What XLA compiles is kept, from test to test and from run to run, as the rules are."""
+def pytest_configure(config):
+    """What XLA compiles is kept, from test to test and from run to run, as the rules are.
+
+    What calls back cannot be kept. It is compiled as the package compiles its own programs, in a
+    third of the time; but for ``-m every_way``, which has XLA's settings as a user has them.
+    """
+    if config.getoption("markexpr") != "every_way":
+        flags = (f"--{name}={value}" for name, value in XLA_OPTIONS.items())
+        os.environ["XLA_FLAGS"] = " ".join((os.environ.get("XLA_FLAGS", ""), *flags))
     jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "xla"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
+def pytest_collection():
+    """While classes are made little is garbage, and it takes a third of the time to look."""
+    gc.disable()
+
+
 def pytest_collection_finish():
     """What is there before the first test stays: no collection of garbage looks through it."""
+    gc.enable()
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
@@ -100,21 +116,26 @@ def pytest_addoption(parser):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Those that are chosen; and two tests in three leave Diffrax to ``-m every_way``, where they
-    are met by another solver."""
+    """Those that are chosen; and two tests in three leave each costly way to ``-m every_way``,
+    where they are met by one that is not."""
     met = defaultdict(set)
     for item in items:
         if not any(item.iter_markers("every_way")):
             met[item.nodeid.partition("[")[0]].add(_way_of(item))
     for item in items:
-        test = item.nodeid.partition("[")[0]
-        leaves = _way_of(item) in TRACED and met[test] - TRACED and crc32(test.encode()) % 3
+        test, way = item.nodeid.partition("[")[0], _way_of(item)
+        leaves = way in COSTLY and met[test] - COSTLY.keys() and not _dealt(test, COSTLY[way])
         if leaves and not any(item.iter_markers("each_method")):
             item.add_marker(pytest.mark.every_way)
     if chosen := config.getoption("--ways"):
         others = [item for item in items if _way_of(item) not in chosen.split(",")]
         items[:] = [item for item in items if item not in others]
         config.hook.pytest_deselected(items=others)
+
+
+def _dealt(test, deal):
+    """Whether a test is of the third that is dealt to a way."""
+    return crc32(test.encode()) // 3**deal % 3 == 0
 
 
 def _way_of(item):
@@ -128,7 +149,8 @@ def pytest_generate_tests(metafunc):
 
     ``way`` has those of the module's ``WAYS``, or one of each mechanism.
     """
-    own = [mark.args[0] for mark in metafunc.definition.iter_markers("parametrize")]
+    marks = metafunc.definition.iter_markers("parametrize")
+    own = [name for mark in marks for name in _names(mark.args[0])]
     own += vars(metafunc.module)
     for fixture, names in (("solver", SOLVERS), ("accurate", ACCURATE)):
         if fixture in metafunc.fixturenames and fixture not in own:
@@ -137,6 +159,11 @@ def pytest_generate_tests(metafunc):
     if "way" in metafunc.fixturenames and "way" not in own:
         chosen = getattr(metafunc.module, "WAYS", MECHANISMS)
         metafunc.parametrize("way", _marked(metafunc, chosen), indirect=True)
+
+
+def _names(argnames):
+    """The names of a scan, one or several."""
+    return argnames.replace(",", " ").split() if isinstance(argnames, str) else argnames
 
 
 def _marked(metafunc, names):

@@ -3,8 +3,7 @@
 import distributed
 
 import hybrid as hy
-from tests.test_maps import ASKED
-from tests.test_measures import Ball
+from tests.swept import ASKED, Ball
 
 
 def main():

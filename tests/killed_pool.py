@@ -7,8 +7,7 @@ import warnings
 from concurrent.futures import ProcessPoolExecutor
 
 import hybrid as hy
-from tests.test_maps import ASKED
-from tests.test_measures import Ball
+from tests.swept import ASKED, Ball
 
 
 def deadly(table):

@@ -18,7 +18,7 @@ import numpy as np
 
 import hybrid as hy
 
-from .test_measures import Ball
+from .swept import Ball
 
 ROOT = Path(__file__).parent.parent
 

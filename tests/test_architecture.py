@@ -4,6 +4,7 @@ import ast
 import runpy
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
@@ -49,11 +50,13 @@ MEANT = {
 }
 
 
+@cache
 def trees():
     """Each file of the package, parsed."""
     return {path: ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py")}
 
 
+@cache
 def imported():
     """What each module of the package imports, at its top and in functions; by names below it."""
     return HOUSE["imports"](PACKAGE, trees())

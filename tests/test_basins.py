@@ -47,11 +47,11 @@ def test_basins_are_a_sweep(wells, tmp_path):
     """Who flies the blocks, how large they are, and a store have no say."""
     pytest.importorskip("zarr")
     with ThreadPoolExecutor(2) as pool:
-        again = hy.basins(Wells(), **WELLS, executor=pool, block=7, store=tmp_path / "map.zarr")
+        again = hy.basins(Wells(), **WELLS, executor=pool, block=30, store=tmp_path / "map.zarr")
     assert again.table.identical(wells.table)
     told = []
     kept = hy.basins(
-        Wells(), **WELLS, block=7, store=tmp_path / "map.zarr", progress=lambda *n: told.append(n)
+        Wells(), **WELLS, block=30, store=tmp_path / "map.zarr", progress=lambda *n: told.append(n)
     )
     assert kept.table.identical(wells.table)
     assert not told

@@ -11,6 +11,8 @@ import pytest
 import hybrid as hy
 from models.relief_valve import ReliefValve
 
+from .contract.ways import spread
+
 E = 0.7
 
 
@@ -170,8 +172,7 @@ def border_of(e, which, width):
     return float(G[place]), float(G[place + 1]), len(G)
 
 
-@pytest.mark.parametrize("which", ["exists", "stable"])
-@pytest.mark.parametrize("e", [0.5, 0.8])
+@pytest.mark.parametrize(("e", "which"), spread([0.5, 0.8], ["exists", "stable"], of=2))
 def test_borders_of_an_orbit_to_a_millionth(e, which):
     """Refinement by what :func:`hybrid.periodic_orbit` finds ends beside the closed forms."""
     low, high, lanes = border_of(e, which, 1e-6)

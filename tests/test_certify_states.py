@@ -5,8 +5,13 @@ import pytest
 
 import hybrid as hy
 
+from .contract.ways import spread
+
 FIXED = {"x": (0.0, 1.0), "v": (-5.0, 5.0)}
 RELATIVE = {"gap": (0.0, 1.0), "speed": (0.0, 2.0)}
+
+#: What asks for the theorem, and for the lemma.
+BOXES = [FIXED, RELATIVE]
 
 
 def beside(rate):
@@ -47,29 +52,30 @@ def fall(gap=lambda self, t, s: s.x, restitution=0.5, force=-9.8):
 # -- states that the gap's acceleration does not use ---------------------------------------
 
 
-@pytest.mark.parametrize("box", [FIXED, RELATIVE], ids=["theorem", "lemma"])
-@pytest.mark.parametrize(
-    ("rate", "named"),
-    [
-        (lambda t, s: s.q**2, "q"),
-        (lambda t, s: -(s.q**2), "q"),
-        (lambda t, s: 1e-12 * s.x * s.q**3, "q"),
-        (lambda t, s: jnp.abs(s.q) ** 1.5, "q"),
-        (lambda t, s: jnp.exp(s.q), "q"),
-        (lambda t, s: jnp.where(s.q > 5.0, s.q**2, 0.0), "q"),
-        (lambda t, s: -1.0 / (2.0 * s.q), "q"),
-        (lambda t, s: jnp.sqrt(s.q) - 1.0, "q"),
-        (lambda t, s: jnp.log(s.q), "q"),
-        (lambda t, s: jnp.tan(s.q), "q"),
-        (lambda t, s: 1.0 / (t - 1.0), "t"),
-        (lambda t, s: (s.p, s.q**2), "q"),
-        (lambda t, s: (s.p, s.q**3), "q"),
-        (lambda t, s: (s.q * s.p, s.q * s.p), "q"),
-        (lambda t, s: (jnp.exp(s.p) * s.q, s.q), "q"),
-    ],
-)
-def test_a_state_that_may_end_the_motion_is_not_certified(rate, named, box):
+#: Rates of a state beside the motion, and whose bounds are asked for.
+ENDING = [
+    (lambda t, s: s.q**2, "q"),
+    (lambda t, s: -(s.q**2), "q"),
+    (lambda t, s: 1e-12 * s.x * s.q**3, "q"),
+    (lambda t, s: jnp.abs(s.q) ** 1.5, "q"),
+    (lambda t, s: jnp.exp(s.q), "q"),
+    (lambda t, s: jnp.where(s.q > 5.0, s.q**2, 0.0), "q"),
+    (lambda t, s: -1.0 / (2.0 * s.q), "q"),
+    (lambda t, s: jnp.sqrt(s.q) - 1.0, "q"),
+    (lambda t, s: jnp.log(s.q), "q"),
+    (lambda t, s: jnp.tan(s.q), "q"),
+    (lambda t, s: 1.0 / (t - 1.0), "t"),
+    (lambda t, s: (s.p, s.q**2), "q"),
+    (lambda t, s: (s.p, s.q**3), "q"),
+    (lambda t, s: (s.q * s.p, s.q * s.p), "q"),
+    (lambda t, s: (jnp.exp(s.p) * s.q, s.q), "q"),
+]
+
+
+@pytest.mark.parametrize(("case", "box"), spread(ENDING, BOXES, of=2))
+def test_a_state_that_may_end_the_motion_is_not_certified(case, box):
     """It blows up, or leaves the domain of its rate: undecided, with the state and the remedy."""
+    rate, named = case
     proof = hy.certify(beside(rate), box)
     assert proof.verdict == "undecided"
     assert proof.reason.startswith("q")
@@ -78,29 +84,28 @@ def test_a_state_that_may_end_the_motion_is_not_certified(rate, named, box):
     assert proof.initial_set is None
 
 
-@pytest.mark.parametrize("box", [FIXED, RELATIVE], ids=["theorem", "lemma"])
-@pytest.mark.parametrize(
-    "rate",
-    [
-        lambda t, s: 0.0 * s.q,
-        lambda t, s: 1.0,
-        lambda t, s: 5.0 * s.q - 3.0 + s.x * s.v,
-        lambda t, s: jnp.sin(s.q) * s.q + t,
-        lambda t, s: -(s.q**3),
-        lambda t, s: s.q * (1.0 - s.q**2),
-        lambda t, s: s.q**4 / (1.0 + s.q**4) - s.q,
-        lambda t, s: jnp.sqrt(1.0 + s.q**2) + jnp.log(1.0 + s.q**2) + jnp.tanh(s.q),
-        lambda t, s: jnp.clip(s.q**3, -1.0, 1.0),
-        lambda t, s: jnp.where(s.q > 0.0, -s.q, -2.0 * s.q),
-        lambda t, s: jnp.exp(-(s.q**2)) * s.q,
-        lambda t, s: (s.p, -s.q),
-        lambda t, s: (s.p, -2.0 * s.q - 3.0 * s.p + 20.0 * s.v**2),
-        lambda t, s: (s.p, s.q - s.q**3 - 0.1 * s.p + jnp.cos(t)),
-        lambda t, s: (s.p, (1.0 - s.q**2) * s.p - s.q),
-        lambda t, s: (jnp.exp(s.p) * s.q, -s.p),
-        lambda t, s: (s.q * s.p, 1.0),
-    ],
-)
+LASTING = [
+    lambda t, s: 0.0 * s.q,
+    lambda t, s: 1.0,
+    lambda t, s: 5.0 * s.q - 3.0 + s.x * s.v,
+    lambda t, s: jnp.sin(s.q) * s.q + t,
+    lambda t, s: -(s.q**3),
+    lambda t, s: s.q * (1.0 - s.q**2),
+    lambda t, s: s.q**4 / (1.0 + s.q**4) - s.q,
+    lambda t, s: jnp.sqrt(1.0 + s.q**2) + jnp.log(1.0 + s.q**2) + jnp.tanh(s.q),
+    lambda t, s: jnp.clip(s.q**3, -1.0, 1.0),
+    lambda t, s: jnp.where(s.q > 0.0, -s.q, -2.0 * s.q),
+    lambda t, s: jnp.exp(-(s.q**2)) * s.q,
+    lambda t, s: (s.p, -s.q),
+    lambda t, s: (s.p, -2.0 * s.q - 3.0 * s.p + 20.0 * s.v**2),
+    lambda t, s: (s.p, s.q - s.q**3 - 0.1 * s.p + jnp.cos(t)),
+    lambda t, s: (s.p, (1.0 - s.q**2) * s.p - s.q),
+    lambda t, s: (jnp.exp(s.p) * s.q, -s.p),
+    lambda t, s: (s.q * s.p, 1.0),
+]
+
+
+@pytest.mark.parametrize(("rate", "box"), spread(LASTING, BOXES, of=2))
 def test_states_that_exist_for_ever_need_no_bounds(rate, box):
     """At most linear growth, dissipation, oscillators, clocks: nothing is asked of them."""
     assert hy.certify(beside(rate), box).verdict == "certified"
@@ -170,26 +175,26 @@ def test_a_repaired_box_does_not_forget_the_states_beside():
 # -- the restitution of the impacts that there are -------------------------------------------
 
 
-@pytest.mark.parametrize("box", [FIXED, RELATIVE], ids=["theorem", "lemma"])
-@pytest.mark.parametrize(
-    ("law", "verdict"),
-    [
-        (lambda self, t, s, u: 0.8 + 0.05 * s.v, "certified"),
-        (lambda self, t, s, u: 0.8 + 0.05 * u, "certified"),
-        (lambda self, t, s, u: 0.5 + s.x, "certified"),
-        (lambda self, t, s, u: 0.5 + 2.0 * s.x * s.v, "certified"),
-        (lambda self, t, s, u: 0.5 - 0.1 * jnp.maximum(s.v, 0.0), "certified"),
-        (lambda self, t, s, u: 0.5 + 0.1 * (u - s.v), "certified"),
-        (lambda self, t, s, u: 1.2 + 0.05 * s.v, "refuted"),
-        (lambda self, t, s, u: -0.1 - s.x, "refuted"),
-        (lambda self, t, s, u: 0.9 - 0.2 * s.v, "refuted"),
-        (lambda self, t, s, u: 1.0 + 0.1 * s.v, "undecided"),  # 1 at rest only: no impact
-        (lambda self, t, s, u: jnp.where(s.v < 0.0, 0.5, 1.5), "undecided"),
-        (lambda self, t, s, u: jnp.where(u < 0.0, 0.5, 0.0), "undecided"),
-    ],
-)
-def test_only_impacts_have_a_restitution(law, verdict, box):
+LAWS = [
+    (lambda self, t, s, u: 0.8 + 0.05 * s.v, "certified"),
+    (lambda self, t, s, u: 0.8 + 0.05 * u, "certified"),
+    (lambda self, t, s, u: 0.5 + s.x, "certified"),
+    (lambda self, t, s, u: 0.5 + 2.0 * s.x * s.v, "certified"),
+    (lambda self, t, s, u: 0.5 - 0.1 * jnp.maximum(s.v, 0.0), "certified"),
+    (lambda self, t, s, u: 0.5 + 0.1 * (u - s.v), "certified"),
+    (lambda self, t, s, u: 1.2 + 0.05 * s.v, "refuted"),
+    (lambda self, t, s, u: -0.1 - s.x, "refuted"),
+    (lambda self, t, s, u: 0.9 - 0.2 * s.v, "refuted"),
+    (lambda self, t, s, u: 1.0 + 0.1 * s.v, "undecided"),  # 1 at rest only: no impact
+    (lambda self, t, s, u: jnp.where(s.v < 0.0, 0.5, 1.5), "undecided"),
+    (lambda self, t, s, u: jnp.where(u < 0.0, 0.5, 0.0), "undecided"),
+]
+
+
+@pytest.mark.parametrize(("case", "box"), spread(LAWS, BOXES, of=2))
+def test_only_impacts_have_a_restitution(case, box):
     """On the contact, moving into it: what the law says elsewhere decides nothing."""
+    law, verdict = case
     proof = hy.certify(fall(restitution=law), box)
     assert proof.verdict == verdict, proof.reason
 

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 import hybrid as hy
 from hybrid.automaton.chance import KEY_STEPS, MULTIPLIERS, PHILOX_ROUNDS, mixed
 from hybrid.cli import app
+from hybrid.lowering.jit import jit
 
 SOLVERS = ["taylor", "scipy", "diffrax"]
 START = {"x": 0.0, "u": 0.0, "n": 0.0}
@@ -250,8 +251,8 @@ def test_derivatives_take_drawn_restitutions_for_constants():
         f = hy.as_function(Rough(), t=(0.0, fall + 0.05), max_jumps=10)
         start = {"x": 1.0, "v": 0.0, "stream": 5.0 * 2**26}
         v = lambda least: f(Rough(least=least), start).final.v  # noqa: E731
-        slope = float(jax.grad(v)(0.3))
-        bend = float(jax.hessian(lambda least: v(least) ** 2)(0.3))
+        slope = float(jit(jax.grad(v))(0.3))
+        bend = float(jit(jax.hessian(lambda least: v(least) ** 2))(0.3))
     assert slope == pytest.approx(9.81 * fall, rel=1e-12)
     assert bend == pytest.approx(2.0 * slope**2, rel=1e-9)
 

@@ -14,8 +14,7 @@ import pytest
 import hybrid as hy
 from hybrid.maps import workers
 
-from .test_maps import ASKED
-from .test_measures import Ball
+from .swept import ASKED, Ball
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = "docs/examples/cluster.py"

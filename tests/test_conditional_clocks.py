@@ -7,7 +7,7 @@ import pytest
 
 import hybrid as hy
 
-from .contract.ways import WAYS
+from .contract.ways import WAYS, spread
 from .systems import without_loop
 
 #: One of each mechanism.
@@ -266,12 +266,10 @@ class Sampled(hy.Automaton):
         return s.replace(up=s.up + 1)
 
 
-@pytest.mark.parametrize(
-    "way",
-    [WAYS[name] for name in ["DOP853", "RK45", "Radau", "taylor", "Tsit5", "ensemble"]],
-    ids=str,
-)
-@pytest.mark.parametrize("level", [-0.3, 0.1, 0.6])
+SIX = [WAYS[name] for name in ["DOP853", "RK45", "Radau", "taylor", "Tsit5", "ensemble"]]
+
+
+@pytest.mark.parametrize(("way", "level"), spread(SIX, [-0.3, 0.1, 0.6]), ids=str)
 def test_conditions_and_marks_see_the_past_where_a_clock_is_passed(way, level):
     """Each clock rings by what was, and each mark counts where the record passes it."""
     end = 6.0

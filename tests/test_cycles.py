@@ -14,9 +14,11 @@ from hybrid.zeno.cycle import limit, period
 from models.two_tanks import TwoTanks
 
 from . import systems
+from .contract.ways import spread
 from .systems import PILES, Pile, Stacked, stacked
 
-SOLVERS = pytest.mark.parametrize("solver", ["scipy", "taylor", "diffrax"])
+NAMES = ["scipy", "taylor", "diffrax"]
+SOLVERS = pytest.mark.parametrize("solver", NAMES)
 
 
 class Rocking(hy.Automaton):
@@ -144,8 +146,7 @@ def test_two_tanks(solver, reference):
         np.testing.assert_allclose(run.jumps.t[:12], switches, rtol=0, atol=1e-12)
 
 
-@SOLVERS
-@pytest.mark.parametrize("r", [0.5, 0.9, 0.97])
+@pytest.mark.parametrize(("solver", "r"), spread(NAMES, [0.5, 0.9, 0.97]))
 def test_a_rocking_block_comes_to_stand(solver, r):
     """The k-th swing lasts (2/p) atanh(r^k rate / (alpha p)): the sum is known."""
     run = hy.simulate(
@@ -423,8 +424,7 @@ def pile(case, **options):
     return hy.simulate(model, [1.0, y, 0.0, 0.0], (0, 5), rtol=1e-11, **options)
 
 
-@SOLVERS
-@pytest.mark.parametrize("case", PILES)
+@pytest.mark.parametrize(("solver", "case"), spread(NAMES, PILES))
 def test_a_pile_on_a_shaking_table(solver, case):
     """Thrown up and at rest again: no bead falls through, whatever the method."""
     _, _, size, omega, _ = case

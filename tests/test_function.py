@@ -13,6 +13,7 @@ from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 from models.two_tanks import TwoTanks
 from tests import gradients
+from tests.contract.ways import spread
 from tests.gradients import Rubbed
 from tests.systems import ForcedOscillator as Forced
 from tests.systems import Oscillator
@@ -106,9 +107,11 @@ def t_inf_of(**options):
 BY_E, BY_H = 10.0338586885718, 1.27931698279290
 
 
-@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev, jax.grad])
-@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
-def test_derivatives_of_the_accumulation_time(derivative, solver):
+@pytest.mark.parametrize(
+    ("solver", "derivative"),
+    spread(["taylor", "scipy", "diffrax"], [jax.jacfwd, jax.jacrev, jax.grad]),
+)
+def test_derivatives_of_the_accumulation_time(solver, derivative):
     """Closed forms, in both modes and with every solver's steps."""
     tight = {} if solver == "taylor" else {"rtol": 1e-11, "atol": 1e-12}
     by_e, by_h = derivative(t_inf_of(solver=solver, **tight), (0, 1))(0.7, 1.0)
@@ -370,8 +373,7 @@ class Stacked(hy.Automaton):
     other = hy.contact(fall, gap=lambda self, t, s: s.y - s.x - 0.5, restitution="r")
 
 
-@pytest.mark.parametrize("y", [1.8, 1.1])
-@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize(("solver", "y"), spread(["taylor", "scipy"], [1.8, 1.1], of=2))
 def test_a_rest_forgets_how_bodies_came_to_it(solver, y):
     """Impacts of one upon the other and on the floor end at one instant, as no sum and no limit, or
     as that of a cycle: how long they took has no derivative, where the bodies lie then has."""

@@ -9,6 +9,8 @@ import pytest
 
 import hybrid as hy
 
+from .contract.ways import spread
+
 #: Methods with errors, and tolerances.
 METHODS = [
     ("scipy", "DOP853", 1e-8),
@@ -68,11 +70,12 @@ def swings(order):
     return Swings
 
 
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize(("by", "method", "rtol"), METHODS)
-@pytest.mark.parametrize(("size", "rate"), [(1.0, 1.0), (1e4, 1e-3)])
-def test_of_what_is_at_one_time_the_first_declared_fires(order, by, method, rtol, size, rate):
+@pytest.mark.parametrize(
+    ("order", "solver", "scale"), spread(ORDERS, METHODS, [(1.0, 1.0), (1e4, 1e-3)]), ids=str
+)
+def test_of_what_is_at_one_time_the_first_declared_fires(order, solver, scale):
     """As by Taylor series, which lose no more than rounding."""
+    (by, method, rtol), (size, rate) = solver, scale
     model = swings(order)(rate=rate, half=math.pi / rate)
     start = {"x": 0.0, "v": size * rate, "c": 0.0, "n": 0.0, "y": 0.0, "w": size * rate}
     span = (0.0, 10.0 / rate)
@@ -167,14 +170,17 @@ class Fanned(hy.Automaton):
     floor = hy.contact(f, gap=lambda self, t, s: s.x, restitution="r")
 
 
-@pytest.mark.parametrize(("r", "drag"), [(0.5, 0.1), (0.8, 0.1), (0.5, 0.7), (0.8, 0.7)])
-@pytest.mark.parametrize("where", ["end", "clock", "knot"])
+LIMITED = [("taylor", None), ("scipy", "DOP853"), ("scipy", "Radau"), ("diffrax", "Tsit5")]
+
+
 @pytest.mark.parametrize(
-    ("by", "method"),
-    [("taylor", None), ("scipy", "DOP853"), ("scipy", "Radau"), ("diffrax", "Tsit5")],
+    ("solver", "where", "ball"),
+    spread(LIMITED, ["end", "clock", "knot"], [(0.5, 0.1), (0.8, 0.1), (0.5, 0.7), (0.8, 0.7)]),
+    ids=str,
 )
-def test_a_limit_at_the_time_of_another_event_is_listed(by, method, where, r, drag):
+def test_a_limit_at_the_time_of_another_event_is_listed(solver, where, ball):
     """At the end of the run, at a clock's time and at a knot; its bound holds there, too."""
+    (by, method), (r, drag) = solver, ball
     start, given = {"x": 1.0, "v": 0.0}, {"r": r, "drag": drag}
     limit = hy.simulate(Falls(**given), start, (0.0, 40.0), solver="taylor").zeno[0].t
     if where == "end":

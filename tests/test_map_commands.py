@@ -12,7 +12,7 @@ import hybrid as hy
 from hybrid.cli import app
 from hybrid.maps import diagram
 
-from .test_measures import Ball
+from .swept import Ball
 from .wells import Floor, Wells
 
 call = CliRunner().invoke

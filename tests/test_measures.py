@@ -11,29 +11,10 @@ from models.delay_bounce import DelayBounce
 from models.two_tanks import TwoTanks
 
 from .oscillators import Baker, bouncing, flight
-
-G = 9.81
+from .swept import Ball, G
 
 #: One spacing of a float for each of a few operations.
 ROUNDING = 1e-14
-
-
-class Ball(hy.Automaton):
-    """A ball dropped from height ``x`` on a floor."""
-
-    x = hy.state(unit="m", doc="height")
-    v = hy.state(unit="m/s")
-    r: float = hy.parameter(0.7, unit="1", between=(0, 1))
-
-    @hy.mode
-    def flight(self, t, s):
-        return s.v, -G
-
-    @hy.output(unit="J/kg")
-    def energy(self, t, s):
-        return G * s.x + s.v**2 / 2
-
-    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution="r")
 
 
 class Swing(hy.Automaton):

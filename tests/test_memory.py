@@ -257,7 +257,7 @@ class Bouncing(hy.Automaton):
 def test_there_is_room_for_every_breaking_point():
     """More than a record has at first room for, many of which the driver adds; nothing forgets
     them, as a lag moves."""
-    agree(Bouncing(), {"x": 0.08, "v": -0.19}, 10.0, 1e-7)
+    agree(Bouncing(), {"x": 0.08, "v": -0.19}, 6.0, 1e-7)
 
 
 def test_a_jump_in_a_history_is_found():

@@ -8,6 +8,8 @@ import pytest
 import hybrid as hy
 from hybrid.errors import DeclarationError, JumpLoopError, OptionError, TraceError
 
+from .contract.ways import spread
+
 SOLVERS = {
     "DOP853": {"solver": "scipy"},
     "Radau": {"solver": "scipy", "method": "Radau"},
@@ -67,8 +69,7 @@ def test_a_sum_at_loose_tolerances_says_how_wrong_it_is():
     assert abs(found.t - exact) <= found.t_error <= 1e-6
 
 
-@pytest.mark.parametrize("width", [2e-2, 2e-3])
-@pytest.mark.parametrize("at", [0.7, 3.1])
+@pytest.mark.parametrize(("at", "width"), spread([0.7, 3.1], [2e-2, 2e-3], of=2))
 def test_the_bound_knows_of_a_force_that_the_method_passes_over(at, width):
     """The narrow ones, a two hundredth of the longest step, are passed over; the bound says so."""
 

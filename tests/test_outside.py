@@ -10,7 +10,7 @@ from hybrid.lowering import scene_of
 from hybrid.solvers.scipy_backend import RungeKuttaStepper, SampledStepper, SciPySolver
 from models.hard_spring import HardSpring
 from tests.contract.test_units import Pile
-from tests.contract.ways import later
+from tests.contract.ways import later, spread
 from tests.test_advance import SCENES
 
 #: Example 1's accumulation, from 40 digits.
@@ -25,8 +25,14 @@ def both(monkeypatch, scene, **options):
     return run, hy.simulate(model, start, span, **options)
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau", "LSODA"])
-@pytest.mark.parametrize("name", ["thermostat", "sections", "hard_spring", "bead_on_table"])
+@pytest.mark.parametrize(
+    ("name", "method"),
+    spread(
+        ["thermostat", "sections", "hard_spring", "bead_on_table"],
+        ["DOP853", "RK45", "Radau", "LSODA"],
+        of=2,
+    ),
+)
 def test_the_loop_gives_the_run_of_the_rules_one_by_one(name, method, monkeypatch):
     """Edges in order, times to what the tolerances leave open, modes, accumulations."""
     run, slow = both(monkeypatch, SCENES[name], method=method, rtol=1e-9, atol=1e-11)
@@ -56,8 +62,10 @@ def test_the_state_at_a_jump_is_the_jumps(name, options):
         assert run(jump.t, jump.j + 1) == jump.after
 
 
-@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e12, *later(1e-3, 1e3, 1e6, 1e9)])
-@pytest.mark.parametrize("method", ["Radau", "RK23", "BDF"])
+@pytest.mark.parametrize(
+    ("method", "unit"),
+    spread(["Radau", "RK23", "BDF"], [1e-9, 1.0, 1e12, 1e-3, 1e3, 1e6, 1e9]),
+)
 def test_nothing_falls_through_what_a_step_shows_to_rounding(unit, method):
     """A step that ends on a guard may show it on one side, and the next one on the other."""
     start = dict(

@@ -10,6 +10,8 @@ import hybrid as hy
 from hybrid.lowering import scene_of
 from hybrid.run.pace import COUNTED, Pace
 
+from .contract.ways import spread
+
 SOLVERS = [
     {"solver": "taylor"},
     {"solver": "scipy", "method": "DOP853"},
@@ -43,9 +45,9 @@ class Stiff(hy.Automaton):
         return s.v, -1.0 + 1e12 * jnp.maximum(-s.x, 0.0) + 0.5 * jnp.sign(s.v)
 
 
-@pytest.mark.parametrize("save", ["dense", "jumps"])
-@pytest.mark.parametrize("options", SOLVERS, ids=lambda o: o.get("method", o["solver"]))
-@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize(
+    ("options", "save", "scale"), spread(SOLVERS, ["dense", "jumps"], [1e-9, 1.0, 1e9]), ids=str
+)
 def test_a_flow_that_leads_back_to_its_jump_ends_in_an_error(options, save, scale):
     """No solver goes on for ever in steps as short as its tolerance; the remedy is named."""
     start, options = {"x": scale, "v": 0.0}, {**options, "atol": 1e-10 * scale, "save": save}

@@ -20,6 +20,7 @@ from hybrid.automaton import shapes
 from hybrid.solvers import maker
 from models import bead_on_table, dry_friction, hard_spring, pyragas, two_tanks
 
+from .contract.ways import spread
 from .oscillators import Lorenz, VanDerPol
 from .systems import Oscillator
 
@@ -127,8 +128,7 @@ RUNS = {
 }
 
 
-@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
-@pytest.mark.parametrize("model", RUNS)
+@pytest.mark.parametrize(("model", "solver"), spread([*RUNS], ["taylor", "scipy", "diffrax"]))
 def test_a_run_passes_arrays_of_these_shapes(watched, model, solver, tmp_path):
     scene = RUNS[model]
     history = scene.START if model.spec.lags else None

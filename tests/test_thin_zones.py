@@ -191,16 +191,14 @@ def test_the_bound_covers_the_rounding_of_a_smooth_pulse(place, share, w):
     holds(model, bell_ends(model))
 
 
-@pytest.mark.parametrize("w", WIDTHS[::3])
-@pytest.mark.parametrize("share", [0.7, -3.0])
+@pytest.mark.parametrize(("share", "w"), spread([0.7, -3.0], WIDTHS[::3], of=2))
 def test_the_bound_covers_a_pulse_with_tails(share, w):
     """Felt in all flights."""
     model = Tailed(w=w, force=share / w, r=0.1)
     holds(model, tailed_ends(model))
 
 
-@pytest.mark.parametrize("w", WIDTHS[::3])
-@pytest.mark.parametrize("share", [0.3, -0.4])
+@pytest.mark.parametrize(("share", "w"), spread([0.3, -0.4], WIDTHS[::3], of=2))
 def test_the_bound_covers_a_layer_that_is_crossed_again_and_again(share, w):
     """Upwards and downwards: what rounding does one way it need not undo the other."""
     model = Layer(w=w, force=share / w, r=0.9)
@@ -309,12 +307,16 @@ def brushed(r, c, w, lift, impacts):
     return times, t + 2 * v / (1 - r)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.5])
-@pytest.mark.parametrize("lift", [0.3, 0.019, 0.001, 1e-4])
-@pytest.mark.parametrize(("part", "by"), [(500, "taylor"), (30, "taylor"), (500, "scipy")])
-def test_no_sum_of_impacts_passes_over_a_faint_pulse(part, by, lift, share):
+PARTS = [(500, "taylor"), (30, "taylor"), (500, "scipy")]
+
+
+@pytest.mark.parametrize(
+    ("pulse", "lift", "share"), spread(PARTS, [0.3, 0.019, 0.001, 1e-4], [0.0, 0.3, 0.5])
+)
+def test_no_sum_of_impacts_passes_over_a_faint_pulse(pulse, lift, share):
     """At the impact and the top of a flight points of it meet the pulse; fainter than what bounds
     may overestimate it shows in the rates of the force alone."""
+    part, by = pulse
     r, n = 0.5, 8
     with mp.workdps(40):
         length, width = 2 * mp.mpf(r) ** n, mp.mpf(r) ** n / part

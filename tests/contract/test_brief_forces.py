@@ -13,6 +13,8 @@ import pytest
 
 import hybrid as hy
 
+from .ways import spread
+
 #: Ways whose methods know of no place at which a flow changes its formula.
 METHODS = ["DOP853", "Radau", "LSODA", "Dopri8", "classic"]
 
@@ -211,8 +213,9 @@ def test_the_bound_covers_a_gust_that_was_missed(way, w, force):
         assert result.t_inf == pytest.approx(exact, abs=1e-6 + 1e-16 / w)
 
 
-@pytest.mark.parametrize("w", [10.0**-k for k in range(1, 9)])
-@pytest.mark.parametrize("share", [0.7, 1.0, 1.9, -3.0])
+@pytest.mark.parametrize(
+    ("share", "w"), spread([0.7, 1.0, 1.9, -3.0], [10.0**-k for k in range(1, 9)])
+)
 def test_the_bound_covers_the_rounding_of_a_thin_zone(w, share):
     """Where its edges are is known to the rounding of x, which is 1e-16 over the width."""
     run = hy.simulate(Gust(w=w, force=share / w), [1.0, 0.0], (0.0, 1.5), solver="taylor")

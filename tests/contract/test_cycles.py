@@ -368,7 +368,7 @@ def test_a_count_is_no_limit(way):
 
 
 @pytest.mark.parametrize(
-    "w", [1.0 + 1e-9, 1.01, 1.3, 1.9, 1.99, *later(1.0001, 1.1, 1.25, 1.4, 1.6, 1.95)]
+    "w", [1.0 + 1e-9, 1.01, 1.3, 1.9, *later(1.0001, 1.1, 1.25, 1.4, 1.6, 1.95, 1.99)]
 )
 def test_two_tanks_run_down_at_every_inflow(way, w):
     """Between one leak and both: all is over when the two have lost what is above their marks."""
@@ -591,7 +591,7 @@ def test_touching_particles_part_after_their_last_impact(way, n, r):
     np.testing.assert_allclose(result.final.v, exact_row(n, r), rtol=1e-11)
 
 
-@pytest.mark.parametrize(("n", "r"), [(4, 0.1), (4, 0.15), (5, 0.2), (10, 0.5)])
+@pytest.mark.parametrize(("n", "r"), [(4, 0.1), (5, 0.2), *later((4, 0.15), (10, 0.5))])
 def test_rows_whose_impacts_never_end_stay_together(way, n, r):
     """They share the momentum: every contact is struck again and again."""
     assert exact_row(n, r, 500) is None
@@ -614,7 +614,7 @@ def test_after_infinitely_many_impacts_others_follow_at_the_same_instant(way, n,
     np.testing.assert_allclose(result.final.v, 1.0 / n, rtol=1e-11)
 
 
-@pytest.mark.parametrize(("n", "r"), [(4, 0.1), (5, 0.1), (12, 0.1)])
+@pytest.mark.parametrize(("n", "r"), [(4, 0.1), (5, 0.1), *later((12, 0.1))])
 def test_a_column_that_falls_collapses_bead_by_bead(way, n, r):
     """The last bead strikes a heap at rest, and all impacts that follow happen as it lands: gaps
     are crossed in less time than can be told, each after infinitely many impacts below it."""

@@ -243,8 +243,9 @@ class Tireless(Lossy):
     impact = hy.contact("flight", gap=lambda self, t, s: s.x, restitution=law)
 
 
-@pytest.mark.parametrize("more", [1.0, 1.3])
-@pytest.mark.parametrize("about", [1e-3, 1e-6, 1e-7, 1e-9, 1e-12])
+@pytest.mark.parametrize(
+    ("about", "more"), spread([1e-3, 1e-6, 1e-7, 1e-9, 1e-12], [1.0, 1.3], of=2)
+)
 def test_what_never_tires_never_rests(way, about, more):
     """The impacts go on for ever: none is said to be the last."""
     model = Tireless(about=about, more=more)

@@ -6,6 +6,8 @@ import pytest
 
 import hybrid as hy
 
+from .ways import later
+
 pytestmark = pytest.mark.each_method
 
 WAYS = ["DOP853", "Radau", "BDF", "LSODA", "Dopri8", "ensemble", "as_function"]
@@ -33,7 +35,7 @@ class Shaken(hy.Automaton):
 
 
 @pytest.mark.parametrize(("w", "a", "r"), WALLS)
-@pytest.mark.parametrize("t0", [0.0, 1e3, 1e4, 1e5, 1e6])
+@pytest.mark.parametrize("t0", [0.0, 1e3, 1e6, *later(1e4, 1e5)])
 def test_impacts_are_the_same_far_from_zero(way, t0, w, a, r):
     """As the Taylor series has them, whatever the spacing of floats: none is repeated."""
     model, start = Shaken(w=w, a=a, r=r), {"x": 1.5, "v": 0.0}

@@ -29,7 +29,10 @@ WALLS = [
 LARGE = [(*wall, (0.0, 101325.0)[k % 2]) for k, wall in enumerate(WALLS)]
 OTHER = [(*wall, (101325.0, 0.0)[k % 2]) for k, wall in enumerate(WALLS)]
 
-walls = pytest.mark.parametrize(("a", "w", "p"), [*LARGE, *later(*OTHER)])
+#: The fastest take longest: one of the three is met now.
+walls = pytest.mark.parametrize(
+    ("a", "w", "p"), [*LARGE[:4], *LARGE[5:6], LARGE[6], *later(LARGE[4], LARGE[7], *OTHER)]
+)
 
 
 class Shaken(hy.Automaton):

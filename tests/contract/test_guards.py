@@ -8,7 +8,7 @@ import pytest
 
 import hybrid as hy
 
-from .ways import later
+from .ways import later, spread
 
 WAYS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_function"]
 
@@ -284,7 +284,7 @@ def test_a_gap_whose_two_sides_differ_where_it_is_zero_is_refused(gap, solver):
 
 @pytest.mark.parametrize(
     ("cls", "by"),
-    [(Shaken, "scipy"), (Shaken, "taylor"), (Rubbed, "scipy"), (Rubbed, "taylor")],
+    spread([Shaken, Rubbed], ["scipy", "taylor"], of=2),
 )
 def test_a_distance_from_what_moves_or_with_friction_is_a_gap(cls, by):
     """As over the gap without its corner, which is never negative."""
@@ -336,33 +336,31 @@ def as_over_the_plain_gap(distance, place, restitution, by):
     return one
 
 
-@pytest.mark.parametrize("by", ["scipy", "taylor"])
-@pytest.mark.parametrize("restitution", [0.5, 0.2, lambda self, t, s, u: 0.5 + 0.3 / (1 + u * u)])
-@pytest.mark.parametrize(
-    "place",
-    [
-        lambda t, s: 0.001 * jnp.sin(30 * t),
-        lambda t, s: 0.1 * jnp.sin(3 * t),
-        lambda t, s: 0.1 * s.y,
-        lambda t, s: 0.01 * jnp.sin(t) - 1000.1,
-    ],
-)
+LAWS = [0.5, 0.2, lambda self, t, s, u: 0.5 + 0.3 / (1 + u * u)]
+PLACES = [
+    lambda t, s: 0.001 * jnp.sin(30 * t),
+    lambda t, s: 0.1 * jnp.sin(3 * t),
+    lambda t, s: 0.1 * s.y,
+    lambda t, s: 0.01 * jnp.sin(t) - 1000.1,
+]
+
+
+@pytest.mark.parametrize(("place", "restitution", "by"), spread(PLACES, LAWS, ["scipy", "taylor"]))
 def test_a_distance_is_a_gap_however_its_place_moves(place, restitution, by):
     """Fast, far, by a state; with a restitution that depends on the speed."""
     as_over_the_plain_gap(jnp.abs, place, restitution, by)
 
 
-@pytest.mark.parametrize("by", ["scipy", "taylor"])
-@pytest.mark.parametrize(
-    "distance",
-    [
-        jnp.abs,
-        lambda u: jnp.sqrt(u**2),
-        lambda u: jnp.maximum(u, -u),
-        lambda u: jnp.where(u >= 0, u, -u),
-        lambda u: jnp.where(u >= 0, u, -3 * u),
-    ],
-)
+DISTANCES = [
+    jnp.abs,
+    lambda u: jnp.sqrt(u**2),
+    lambda u: jnp.maximum(u, -u),
+    lambda u: jnp.where(u >= 0, u, -u),
+    lambda u: jnp.where(u >= 0, u, -3 * u),
+]
+
+
+@pytest.mark.parametrize(("distance", "by"), spread(DISTANCES, ["scipy", "taylor"], of=2))
 def test_a_contact_with_a_distance_is_released_as_another(distance, by):
     """It comes to rest on a floor that later falls away faster than the body, and again."""
     run = as_over_the_plain_gap(distance, lambda t, s: 0.5 * jnp.sin(2.2 * t), 0.5, by)

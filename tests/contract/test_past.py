@@ -13,7 +13,7 @@ from models.delay_jump import DelayJump
 from models.pyragas import Pyragas
 
 from .. import delayed
-from .ways import COMPILED, SOLVERS_AND_COMPILED, later
+from .ways import COMPILED, SOLVERS_AND_COMPILED, later, spread
 
 WAYS = SOLVERS_AND_COMPILED
 
@@ -339,8 +339,11 @@ class Turned(hy.Automaton):
         return s.replace(n=s.n + 1.0)
 
 
+#: An explicit method, an implicit one, series, and steps made ahead.
+FOUR = ["DOP853", "Radau", "taylor", "Tsit5"]
+
 #: LSODA, and each other method, goes on in steps of about a lag where that is short.
-SHORT = ["DOP853", "Radau", "taylor", "Dopri8", "ensemble", "as_function"]
+SHORT = ["DOP853", "taylor", "Dopri8", "ensemble", "as_function"]
 
 
 @pytest.mark.parametrize(
@@ -551,9 +554,11 @@ class Swinging(hy.Automaton):
         return s.replace(down=s.down + 1)
 
 
-@pytest.mark.parametrize("way", ["DOP853", "Radau", "taylor", "Tsit5"], indirect=True)
-@pytest.mark.parametrize("gain", [0.5, -0.5, 0.9])
-@pytest.mark.parametrize("level", [-0.15, 0.0, 0.2])
+@pytest.mark.parametrize(
+    ("way", "gain", "level"),
+    spread(FOUR, [0.5, -0.5, 0.9], [-0.15, 0.0, 0.2]),
+    indirect=["way"],
+)
 def test_a_mark_counts_in_its_direction_alone_where_windows_end(way, gain, level):
     """A guard that is still to pass zero has its sign where a window ends, or another fires: each
     edge counts as often as the dense output passes its mark."""
@@ -591,9 +596,9 @@ class Halved(hy.Automaton):
         return s.replace(either=s.either + 1)
 
 
-@pytest.mark.parametrize("way", ["DOP853", "Radau", "taylor", "Tsit5"], indirect=True)
-@pytest.mark.parametrize("start", [0.0, 0.5])
-@pytest.mark.parametrize("k", [1.5, 2.0, 3.0])
+@pytest.mark.parametrize(
+    ("way", "start", "k"), spread(FOUR, [0.0, 0.5], [1.5, 2.0, 3.0]), indirect=["way"]
+)
 def test_a_mark_counts_once_however_far_its_series_are_followed(way, start, k):
     """Series of a guard are followed beyond their window, where they pass zero as they please."""
     end = 20.0
@@ -629,8 +634,7 @@ class Returning(hy.Automaton):
         return s.replace(up=s.up + 1)
 
 
-@pytest.mark.parametrize("way", ["DOP853", "Radau", "taylor", "Tsit5"], indirect=True)
-@pytest.mark.parametrize("k", [0.5, 0.65, 0.8])
+@pytest.mark.parametrize(("way", "k"), spread(FOUR, [0.5, 0.65, 0.8]), indirect=["way"])
 def test_lags_may_turn_back_together_over_a_breaking_point(way, k):
     """All of them pass it, and each mark that is seen counts once."""
     start, end, before = 0.3, 4.0, 1.0

@@ -11,6 +11,7 @@ import hybrid as hy
 
 from .. import referee
 from ..referee import Cycle, Edge, Mode
+from .ways import MECHANISMS, spread
 from .ways import WAYS as EVERY
 
 #: Scenes of each kind.
@@ -261,7 +262,7 @@ def results(name, kind):
 
 
 @pytest.mark.parametrize("scene", range(COUNT))
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("way", "kind"), spread(MECHANISMS, [*KINDS]), indirect=["way"])
 def test_the_referee_agrees(way, kind, scene):
     """End, mode, number and times of jumps, accumulations."""
     result, (_, _, out) = results(way.name, kind)[scene], scenes(kind)[scene]

@@ -7,7 +7,7 @@ import pytest
 import hybrid as hy
 
 from ..switched import Pursuit, Quadrants, Rings, Timed
-from .ways import SOLVERS_AND_COMPILED
+from .ways import SOLVERS_AND_COMPILED, spread
 
 WAYS = SOLVERS_AND_COMPILED
 
@@ -314,8 +314,11 @@ class Marked(hy.Automaton):
         return s.replace(marks=s.marks + 1)
 
 
-@pytest.mark.parametrize("way", ["DOP853", "RK45", "Radau", "taylor", "Tsit5"], indirect=True)
-@pytest.mark.parametrize("level", [-0.3, -0.1, 0.0, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize(
+    ("way", "level"),
+    spread(["DOP853", "RK45", "Radau", "taylor", "Tsit5"], [-0.3, -0.1, 0.0, 0.1, 0.2, 0.3]),
+    indirect=["way"],
+)
 def test_a_mark_that_is_passed_while_sliding_counts_once(way, level):
     """The mark leads to a mode from whose flow the state slides on at once: that moves it onto the
     surface, by as much as the method's steps have led off it. There

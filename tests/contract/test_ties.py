@@ -52,7 +52,7 @@ def races(seed, count, t0):
         yield {"a": a, "b": b, "mark": x + a * after, "goal": y + b * after}, [x, y], after
 
 
-@pytest.mark.parametrize("t0", [0.0, 1e6, *later(1.0)])
+@pytest.mark.parametrize("t0", [1e6, *later(0.0, 1.0)])
 def test_of_equal_times_the_edge_declared_first_wins(way, t0):
     """In 200 random pairs."""
     cases = list(races(3, 200, t0))

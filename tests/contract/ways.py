@@ -374,15 +374,16 @@ def later(*cases: Any) -> list[Any]:
     ]
 
 
-def spread(*scans: Sequence[Any]) -> list[Any]:
+def spread(*scans: Sequence[Any], of: int = 3) -> list[Any]:
     """Every combination of points of scans: one in three now, the others left to ``every_way``.
 
-    Each point of a scan is met now, beside a third of those of another that has three or more.
+    Each point of a scan is met now, beside a third of those of another that has three or more; or
+    one in ``of``, likewise.
     """
     chosen = []
     for places in product(*(range(len(scan)) for scan in scans)):
         point = tuple(scan[i] for scan, i in zip(scans, places, strict=True))
-        chosen += later(point) if sum(places) % 3 else [point]
+        chosen += later(point) if sum(places) % of else [point]
     return chosen
 
 
