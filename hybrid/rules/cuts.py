@@ -268,8 +268,17 @@ def beyond_kink(
     a: AutomatonArrays, now: Now, room: Room, program: int, tau: float, s: float
 ) -> float:
     """How far behind ``s`` from the local time ``tau``, from which ``room.c`` has series, a guard
-    has jumped: the function of the kink has its new sign there, and if possible the guard is zero
-    or beyond, too, as what follows reads them. Infinite if there is no such place."""
+    has jumped; infinite if there is no such place. How far beyond the kink that is, is noted."""
+    place = now.ints[EVENT] - a.fields[now.ints[FIELD], GUARDS]
+    shift = further(a, now, room, program, tau, s)
+    off = value_then(a, now, room, program, kink_row(a, now, program), tau, s + shift)
+    now.floats[BEYOND_BY] = -now.signs[place] * abs(off)
+    return shift
+
+
+def further(a: AutomatonArrays, now: Now, room: Room, program: int, tau: float, s: float) -> float:
+    """How much later the function of the kink has its new sign and, if possible, the guard is zero
+    or beyond, too, as what follows reads them; infinite if that is nowhere."""
     row, guard = kink_row(a, now, program), now.ints[EVENT]
     place = guard - a.fields[now.ints[FIELD], GUARDS]
     own = row_of(a, program, now.ints[FIELD], guard)
@@ -279,8 +288,6 @@ def beyond_kink(
         if moves > MOVES:
             return math.inf
         shift = 2.0 * shift if shift > 0.0 else spacing
-    off = abs(value_then(a, now, room, program, row, tau, s + shift))
-    now.floats[BEYOND_BY] = -now.signs[place] * off
     size, _, _ = sizes_of(a, room, guard, now.floats[T] + tau + s, room.there)
     for k in range(JUMPS_WITHIN):
         value = value_then(a, now, room, program, own, tau, s + (shift + k * spacing))

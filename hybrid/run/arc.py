@@ -75,6 +75,8 @@ class Flown:
         The user has interrupted the run; the arc goes as far as it was flown.
     carried : bool
         The guard that fired has not been zero: it jumped over zero.
+    beyond_by : float
+        How far beyond, by the function that decides.
     tied : dict
         By edge, the sign before its zero of each guard that is zero at the same time, and fires.
     touched : dict
@@ -96,6 +98,7 @@ class Flown:
     over: frozenset[str] = frozenset()
     steps: int = 0
     touched: dict[str, int] = attrs.Factory(dict)
+    beyond_by: float = 0.0
 
 
 class ArcFlow:
@@ -159,7 +162,13 @@ class ArcFlow:
         index, carried = (None, False) if fired is None else (fired.index, fired.cut is not None)
         made = stepper.tau, stepper.x, segments, self.grazes
         known = self.tied, self.over, self.made, self._touched(stepper)
-        return Flown(index, *made, False, carried, *known)
+        return Flown(index, *made, False, carried, *known, self._beyond_by(fired, stepper))
+
+    def _beyond_by(self, fired: Fired | None, stepper: Stepper) -> float:
+        """How far beyond the place at which a guard has jumped the arc ends."""
+        if fired is None or fired.cut is None:
+            return 0.0
+        return abs(fired.cut.kink.value(self.now.after(stepper.tau).t, stepper.x.tolist()))
 
     def _begin_guards(self) -> None:
         """Note the values of guards that are not zero at the start. Dense output is exact there

@@ -74,7 +74,7 @@ class Driver:
         self.seen = np.zeros(scene.spec.dimension)
         self.losses = Losses(plan, solver.whole, self.seen)
         self.steps = 0
-        self.jumped = Jumped()
+        self.jumped, self.beyond_by = Jumped(), 0.0
         self.tied: dict[str, int] = {}
         self.touched: dict[str, int] = {}
         self.ringing = self.spent = frozenset(clock.name for clock in scene.spec.clocks)
@@ -145,7 +145,7 @@ class Driver:
                 guard = self.entry.field.guards[index]
                 if guard.kind != "window":
                     self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
-                carried = self.entry.orders[index] == 0  # over zero
+                carried, self.beyond_by = self.entry.orders[index] == 0, 0.0  # over zero
                 self.jump(guard, self.entry.x, carried)
             else:
                 self.flow()
@@ -286,10 +286,10 @@ class Driver:
         x: StateVector,
         guard: Guard,
         before: StateVector,
-        vanishes: bool = True,
+        beyond_by: float | None = None,
     ) -> None:
-        """Begin an arc after a jump that the compiled loop has made; ``vanishes``: the guard of an
-        edge that has kept its value is zero."""
+        """Begin an arc after a jump that the compiled loop has made; ``beyond_by``: how far beyond
+        zero the guard of an edge has jumped, if it is not zero where it has kept its value."""
         last = self.record.log.kept[-1]
         assert not isinstance(last, TailPart)
         lasted = (last.lengths[-1] if isinstance(last, Flights) else last.length) > 0
@@ -304,6 +304,7 @@ class Driver:
             own = [g for g in self.field.guards if g.edge == guard.edge and not self.forgets]
             if not own:
                 return Jumped(used=guard.edge)
+            vanishes, self.beyond_by = beyond_by is None, beyond_by or 0.0
             come = jumps.came_by(self, own[0], before, x, carried=not vanishes)
             return come if vanishes else attrs.evolve(come, vanishing={})
 
@@ -340,7 +341,7 @@ class Driver:
         (_, due), until = clocks.due(self, entry.field, entry.x), self.horizon
         self.losses.seen, last = self.seen, min(due, until)
         known, jumped = (self.scene, self.flies, self.plan, entry, now, last), self.jumped
-        arc = ArcFlow(*known, self.losses, jumped.used if jumped.carried else None)
+        arc = ArcFlow(*known, self.losses, jumped.used if jumped.beyond_by else None)
         flown = arc.run()
         self.steps += flown.steps
         if memory is not None:
@@ -383,6 +384,7 @@ class Driver:
             self.status = Status.INTERRUPTED if flown.interrupted else Status.REACHED_END
         else:
             self.record.now = Instant(due) if tied else self.record.now
+            self.beyond_by = flown.beyond_by
             self.jump(fired, x, flown.carried)
 
     def _gather(self, flown: Flown, due: float) -> Flown:

@@ -85,9 +85,10 @@ class Jumped:
         The edge just taken: its guard is zero by construction and must first leave zero (2).
     onwards : bool
         The reset of that edge has not reversed the motion of its guard.
-    carried : bool
-        The guard of that edge has jumped over zero: the state is just beyond, by rounding, and to
-        jump back there is no crossing (1).
+    beyond_by : float
+        The guard of that edge has jumped over zero: the state is beyond by rounding, by so much of
+        the function that decides, and to jump back there is no crossing (1). It has the guard's
+        sign; 0 if the guard has not jumped, or the reset has led back.
     starting : bool
         This is the start of the run; there was no jump.
     passing : dict or None
@@ -116,7 +117,7 @@ class Jumped:
     held: tuple[str, ...] = ()
     used: str | None = None
     onwards: bool = False
-    carried: bool = False
+    beyond_by: float = 0.0
     starting: bool = False
     passing: dict[str, int] | None = None
     tied: dict[str, int] = attrs.Factory(dict)

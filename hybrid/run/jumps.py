@@ -5,6 +5,7 @@ Numbers in brackets are the rules of ``docs/semantics.md``.
 
 from __future__ import annotations
 
+from math import copysign
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,8 +79,8 @@ def came_by(
     onwards = here[1] * there[1] > 64 * EPS * here[1] * here[1]
     beyond = guard.urgent and has_jumped(driver, guard, before)
     known = {guard.edge: 1} if here[0] == there[0] and not beyond else {}
-    carried = carried and here[0] * there[0] > 0
-    return Jumped(known, used=guard.edge, onwards=bool(onwards), carried=bool(carried))
+    off = driver.beyond_by if carried and here[0] * there[0] > 0 else 0.0
+    return Jumped(known, used=guard.edge, onwards=bool(onwards), beyond_by=copysign(off, there[0]))
 
 
 def has_jumped(driver: Driver, guard: Guard, x: StateVector) -> bool:

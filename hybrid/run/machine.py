@@ -26,6 +26,7 @@ from ..rules.places import (
     AT_REST,
     AT_START,
     BEGINS,
+    BEYOND_BY,
     CURVE_ROWS,
     DRIVERS,
     DUE,
@@ -445,8 +446,10 @@ class Machine:
                 self.feed.at(*where)
             self.links = None
         edge, power = next(iter(jumped.vanishing.items()), (jumped.used, 0))
+        edge = driver.jumped.used if judged else edge
         ints[FIELD], ints[ENTERED], ints[PHASE] = field, judged, BEGINS
         ints[LAST_USED] = own.get(edge, AT_START if jumped.starting else NONE)
+        floats[BEYOND_BY] = driver.jumped.beyond_by if judged else jumped.beyond_by
         ints[GUARD_POWER], ints[LASTED] = power, jumped.series
         ints[SERIES], ints[IMPACT_COUNT] = own.get(contact, -1), driver.watch.count
         floats[TRIED], floats[STEPS_LOST] = driver.watch.tried, driver.losses.tolerances
@@ -503,8 +506,9 @@ class Machine:
             if due and end not in sums and self._pass_limit(to):
                 self.passed = True
                 return
-            vanishes = end < made or self.ints[GUARD_POWER] > 0
-            driver.arrive(driver.own.field(to), after, guard, left.before[end - 1].copy(), vanishes)
+            before, vanishes = left.before[end - 1].copy(), self.ints[GUARD_POWER] > 0
+            off = None if end < made or vanishes else abs(float(self.floats[BEYOND_BY]))
+            driver.arrive(driver.own.field(to), after, guard, before, off)
             if end in sums:
                 self._held(fields[end - 1])
                 if driver.status is not None:  # behind the last jump nothing is summed
@@ -653,6 +657,7 @@ class Machine:
                 clock = clocks.first(driver, due, before)
                 driver.ring(clock or self.fired, due, before)
             else:
+                driver.beyond_by = abs(float(self.floats[BEYOND_BY])) if self._jumped else 0.0
                 driver.jump(self.fired, before, self._jumped)
 
     def _tied(self) -> dict[str, int]:
