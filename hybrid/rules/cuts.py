@@ -95,7 +95,8 @@ def with_cuts(
     if first == HARD:
         return -1, 0.0, 0.0
     if first != NONE:
-        now.ints[CUT] = side_beyond(a, now, room, program)
+        kink = now.ints[CROSSED]
+        now.ints[CUT] = crossed_to(room.c, kink_row(a, program, kink), room.sides[kink])
         return first, h, 0.0
     if guard >= 0 or not several:
         return guard, s, 0.0
@@ -112,15 +113,10 @@ def any_bends(a: AutomatonArrays, now: Now) -> bool:
     return False
 
 
-def kink_row(a: AutomatonArrays, now: Now, program: int) -> int:
-    """The row of the function at whose zero a step ends."""
+def kink_row(a: AutomatonArrays, program: int, kink: int) -> int:
+    """The row of the function of a kink."""
     p = a.programs
-    return p.kinks[p.index[program, KINKS] + now.ints[CROSSED], KINK_ROW]
-
-
-def side_beyond(a: AutomatonArrays, now: Now, room: Room, program: int) -> int:
-    """The sign that the function has beyond the kink."""
-    return crossed_to(room.c, kink_row(a, now, program), room.sides[now.ints[CROSSED]])
+    return p.kinks[p.index[program, KINKS] + kink, KINK_ROW]
 
 
 def value_at(
@@ -142,37 +138,40 @@ def beside_kinks(
     The function that seems to be zero there may jump back instead, where another is zero, as a
     remainder does: that one is the kink.
     """
-    p, zero, reach, several = a.programs, now.ints[CROSSED], 0.0, False
-    first = p.index[program, KINKS]
-    reach = apart(a, now, room, program, h, WIDEST)
+    p, zero, several = a.programs, now.ints[CROSSED], False
+    first, reach = p.index[program, KINKS], apart(a, now, room, program, zero, h, WIDEST)
     for k in range(p.index[program, KINKS + 1] - first):
-        if p.kinks[first + k, SWITCHES] == 1 and p.kinks[first + k, KINK_KIND] != POINT:
-            other, now.ints[CROSSED] = now.ints[CROSSED], k
-            own = apart(a, now, room, program, h, 0.0) if k != zero else 0.0
-            several = several or (own > 0.0 and reach > 0.0)
-            now.ints[CROSSED] = k if own > 0.0 and reach == 0.0 else other
-            reach = max(reach, own)
+        switches = p.kinks[first + k, SWITCHES] == 1 and p.kinks[first + k, KINK_KIND] != POINT
+        own = apart(a, now, room, program, k, h, 0.0) if switches and k != zero else 0.0
+        several = several or (own > 0.0 and reach > 0.0)
+        now.ints[CROSSED] = k if own > 0.0 and reach == 0.0 else now.ints[CROSSED]
+        reach = max(reach, own)
     return reach, several
 
 
-def apart(a: AutomatonArrays, now: Now, room: Room, program: int, h: float, share: float) -> float:
-    """How far from ``h`` the function of the kink has different signs on either side; 0 if it has
+def apart(
+    a: AutomatonArrays, now: Now, room: Room, program: int, kink: int, h: float, share: float
+) -> float:
+    """How far from ``h`` the function of a kink has different signs on either side; 0 if it has
     not within a share of ``h``, or a few roundings. It has them further off, too: one that jumps
     back just beyond, as a remainder does, seems to cross zero by its rounding."""
     width = 2.0 * EPS * (abs(room.c[now.end.shape[0], 0]) + h)
     widest = max(share * h, LEAST_WIDE * width)
     while width < widest:
-        if parts(a, now, room, program, h, width) and parts(
-            a, now, room, program, h, 2.0 * WIDER * width
+        if parts(a, now, room, program, kink, h, width) and parts(
+            a, now, room, program, kink, h, 2.0 * WIDER * width
         ):
             return WIDER * width
         width *= 2.0
     return 0.0
 
 
-def parts(a: AutomatonArrays, now: Now, room: Room, program: int, h: float, width: float) -> bool:
-    """Whether the function of the kink has different signs so far before and behind ``h``."""
-    row, side = kink_row(a, now, program), side_beyond(a, now, room, program)
+def parts(
+    a: AutomatonArrays, now: Now, room: Room, program: int, kink: int, h: float, width: float
+) -> bool:
+    """Whether the function of a kink has different signs so far before and behind ``h``."""
+    row = kink_row(a, program, kink)
+    side = crossed_to(room.c, row, room.sides[kink])
     t = room.c[now.end.shape[0], 0] + h
     before = h <= width or value_at(a, now, room, program, row, t - width, h - width) * side < 0.0
     return before and value_at(a, now, room, program, row, t + width, h + width) * side > 0.0
@@ -205,7 +204,7 @@ def comes_back(
     kink (1)."""
     if a.guards[guard, OWN] != now.ints[LAST_USED] or now.ints[GUARD_POWER] > 0:
         return False
-    c = room.c[kink_row(a, now, program)]
+    c = room.c[kink_row(a, program, now.ints[CROSSED])]
     off = now.floats[BEYOND_BY] * now.signs[guard - a.fields[now.ints[FIELD], GUARDS]]
     return now.ints[MADE] == 0 and power_size(c, 0, c.shape[0] - 1, h) <= ROUNDED * off
 
@@ -260,8 +259,8 @@ def straight(a: AutomatonArrays, now: Now, room: Room, program: int, t: float) -
             c[i, k] = 0.0
     if afresh(a.programs, program, 1, t, now.end, room.still, c, room.work) < 0:
         return math.inf
-    value, rate = c[kink_row(a, now, program), 0], c[kink_row(a, now, program), 1]
-    return -value / rate if rate != 0.0 else math.inf
+    row = kink_row(a, program, now.ints[CROSSED])
+    return -c[row, 0] / c[row, 1] if c[row, 1] != 0.0 else math.inf
 
 
 def beyond_kink(
@@ -271,7 +270,8 @@ def beyond_kink(
     has jumped; infinite if there is no such place. How far beyond the kink that is, is noted."""
     place = now.ints[EVENT] - a.fields[now.ints[FIELD], GUARDS]
     shift = further(a, now, room, program, tau, s)
-    off = value_then(a, now, room, program, kink_row(a, now, program), tau, s + shift)
+    row = kink_row(a, program, now.ints[CROSSED])
+    off = value_then(a, now, room, program, row, tau, s + shift)
     now.floats[BEYOND_BY] = -now.signs[place] * abs(off)
     return shift
 
@@ -279,7 +279,7 @@ def beyond_kink(
 def further(a: AutomatonArrays, now: Now, room: Room, program: int, tau: float, s: float) -> float:
     """How much later the function of the kink has its new sign and, if possible, the guard is zero
     or beyond, too, as what follows reads them; infinite if that is nowhere."""
-    row, guard = kink_row(a, now, program), now.ints[EVENT]
+    row, guard = kink_row(a, program, now.ints[CROSSED]), now.ints[EVENT]
     place = guard - a.fields[now.ints[FIELD], GUARDS]
     own = row_of(a, program, now.ints[FIELD], guard)
     spacing, shift, moves = EPS * (abs(now.floats[T]) + tau + s), 0.0, 0
