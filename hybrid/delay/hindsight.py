@@ -20,7 +20,7 @@ from ..lowering import Scene
 from ..lowering.taylor import flat
 from ..rules.places import WINDOW_DEGREE
 from ..segment import nodes
-from ..trajectory.arcs import Arc, Part
+from ..trajectory.arcs import Arc, Part, arcs_of
 from ..trajectory.log import Log
 from .history import Before, until
 from .pieces import Piece, constant, piece_of, window_on
@@ -138,7 +138,7 @@ class Hindsight:
             flown = [piece for each in self._parts for piece in _pieces(each)]
             return [*(self.history or ()), *flown]
         if part:
-            arc = next(_arcs(self._parts[part]))
+            arc = next(arcs_of(self._parts[part]))
             return [constant(arc.first, arc.t0), *_pieces(self._parts[part])]
         flown = [piece for each in self._parts[:1] for piece in _pieces(each)]
         return [*(self.history or ()), *flown]
@@ -181,9 +181,5 @@ class Hindsight:
         return window_on(a, b, values)
 
 
-def _arcs(part: Part) -> Iterator[Arc]:
-    return iter([part]) if isinstance(part, Arc) else map(part.arc, range(part.tail.count + 1))
-
-
 def _pieces(part: Part) -> Iterator[Piece]:
-    return (piece_of(s, arc.t0, arc.low) for arc in _arcs(part) for s in arc.segments)
+    return (piece_of(s, arc.t0, arc.low) for arc in arcs_of(part) for s in arc.segments)

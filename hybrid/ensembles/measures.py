@@ -25,7 +25,7 @@ from ..rules.guards import TIE
 from ..rules.zeros import EPS
 from ..run.options import require_count
 from ..run.sections import EdgeSection, Period, Section, Surface, section_of
-from ..trajectory.arcs import Arc, Part, TailPart
+from ..trajectory.arcs import Arc, Part, arcs_of
 from ..trajectory.log import Flights, Log
 from ..variation import GROWN_APART, TRANSIENT, Course, factors_of, first_frame, grown, largest
 from .starts import Lane, Lanes, attributes_of
@@ -463,7 +463,7 @@ class MeasuredLane(Log):
 
     def _crossings(self, part: Part | Flights, surface: Surface) -> None:
         """Keep the points at which a part crosses a surface."""
-        for arc in _flights(part) if isinstance(part, TailPart) else _arcs(part):
+        for arc in part.arcs if isinstance(part, Flights) else arcs_of(part):
             for tau in surface.crossings(arc, starts=arc.t0 <= self.t0):
                 self._keep_point(arc.t0 + (arc.low + tau), arc.local(tau), arc.mode)
 
@@ -481,11 +481,6 @@ class MeasuredLane(Log):
 def _arcs(part: Part | Flights) -> Sequence[Arc]:
     """The arcs of a part; none for a sum of impacts."""
     return part.arcs if isinstance(part, Flights) else [part] if isinstance(part, Arc) else []
-
-
-def _flights(part: TailPart) -> Iterator[Arc]:
-    """The listed flights of a sum of impacts, one by one."""
-    return map(part.arc, range(part.tail.count + 1))
 
 
 def _first_mode(part: Part | Flights | None) -> str | None:

@@ -20,7 +20,7 @@ from ..lowering import Guard, Kind, Scene
 from ..lowering.derivatives import node_shape
 from ..lowering.field import Scalar
 from ..lowering.jaxpr import require_written
-from ..trajectory.arcs import Arc
+from ..trajectory.arcs import Arc, arcs_of
 from ..trajectory.trajectory import Solution
 
 #: A surface on which a run starts is zero there, relative to the terms that it is made of.
@@ -80,9 +80,7 @@ class Surface:
     def returns(self, run: Solution) -> Iterator[Return]:
         """The crossings after the start, those in flights of a summed series of impacts too."""
         for index, part in enumerate(run.parts):
-            flights = 1 if isinstance(part, Arc) else part.tail.count + 1
-            for flight in range(flights):
-                arc = part if isinstance(part, Arc) else part.arc(flight)
+            for flight, arc in enumerate(arcs_of(part)):
                 for tau in self.crossings(arc, starts=arc.t0 <= run.t0):
                     yield Return(index, tau, flight)
 

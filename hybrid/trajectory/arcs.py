@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -220,3 +220,8 @@ class TailPart(_Moded):
 
 
 Part = Arc | TailPart
+
+
+def arcs_of(part: Part) -> Iterator[Arc]:
+    """The arc that a part is, or the listed flights of a sum of impacts."""
+    return iter([part]) if isinstance(part, Arc) else map(part.arc, range(part.tail.count + 1))

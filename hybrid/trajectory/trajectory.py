@@ -22,7 +22,7 @@ from ..automaton.record import Record
 from ..automaton.spec import Spec
 from ..errors import FRAMES, OptionError, need
 from .accumulation import Accumulation, explain, unfinished
-from .arcs import Arc, JumpRow, Part, Table, TailPart
+from .arcs import Arc, JumpRow, Part, Table, TailPart, arcs_of
 from .forces import force, impulses
 from .log import Log
 from .stats import Stats
@@ -412,13 +412,7 @@ class Solution:
     @cached_property
     def arcs(self) -> list[Arc]:
         """All arcs; those of a chattering tail as far as they differ in double precision."""
-        arcs: list[Arc] = []
-        for part in self.parts:
-            if isinstance(part, TailPart):
-                arcs.extend(part.arc(n) for n in range(part.tail.count + 1))
-            else:
-                arcs.append(part)
-        return arcs
+        return [arc for part in self.parts for arc in arcs_of(part)]
 
     @cached_property
     def jumps(self) -> Jumps:
