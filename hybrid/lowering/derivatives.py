@@ -34,10 +34,12 @@ def _ratio(g: Graph, a: int, b: int) -> list[int]:
     return [g.node("div", g.const(1.0), b), g.node("neg", g.node("div", y, b))]
 
 
-def _extreme(op: str) -> Callable[..., list[int]]:
+def _extreme(first: str, second: str) -> Callable[..., list[int]]:
+    """The slopes of ``max`` or ``min``: by comparisons of the arguments, which bounds decide."""
+
     def slopes(g: Graph, a: int, b: int) -> list[int]:
-        chosen, zero, one = g.node(op, a, b), g.const(0.0), g.const(1.0)
-        is_a, is_b = g.node("eq", a, chosen), g.node("eq", b, chosen)
+        zero, one = g.const(0.0), g.const(1.0)
+        is_a, is_b = g.node(first, a, b), g.node(second, a, b)
         share = g.node("select", is_b, g.const(0.5), one)
         other = g.node("select", is_a, g.const(0.5), one)
         return [g.node("select", is_a, share, zero), g.node("select", is_b, other, zero)]
@@ -87,8 +89,8 @@ LOCAL_SLOPES: dict[str, Callable[..., list[int]]] = {
     "cbrt": lambda g, a: [g.node("div", g.node("cbrt", a), g.node("mul", g.const(3.0), a))],
     "pow": _power,
     "abs": _size,
-    "max": _extreme("max"),
-    "min": _extreme("min"),
+    "max": _extreme("ge", "le"),
+    "min": _extreme("le", "ge"),
     "atan2": _angle,
     "rem": lambda g, a, b: [
         g.const(1.0),

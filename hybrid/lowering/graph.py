@@ -160,7 +160,25 @@ class Graph:
             inner, *factors = self.nodes[arguments[0]]
             if inner == "mul" and factors[0] == factors[1]:
                 return ("abs", factors[0])
+        if op == "select" and self._same(*arguments):
+            return (arguments[2],)
+        if op == "eq":  # with a maximum, as slopes ask: of one argument, bounds do not decide it
+            for a, b in (arguments, arguments[::-1]):
+                inner, *rest = self.nodes[b]
+                if inner in ("max", "min") and a in rest:
+                    other = rest[0] if rest[1] == a else rest[1]
+                    return self._simplify(("ge" if inner == "max" else "le", a, other))
         return _identity(op, arguments, values, self.exact) or key
+
+
+    def _same(self, test: int, yes: int, no: int) -> bool:
+        """Whether a choice is its second case either way: ``0 if a == 0 else a``, and ``nan if
+        a != a else a``."""
+        op, *sides = self.nodes[test]
+        if op == "eq":
+            return sorted(sides) == sorted((yes, no))
+        value = self.value(yes)
+        return op == "ne" and sides == [no, no] and isinstance(value, float) and math.isnan(value)
 
 
 def needed(graph: Graph, roots: Sequence[int]) -> list[int]:
