@@ -67,13 +67,28 @@ class Entries(tuple[Any, ...]):
         return sorted(set(map(float, self[1:])))
 
     def wave(self, x: float) -> float:
-        """A function of ``x`` that changes sign at each knot and is nonzero elsewhere."""
+        """A function of ``x`` that is zero at the knots, exactly, and changes sign at each."""
         knots = self.knots
         if not math.isfinite(x) or len(knots) < 2:
             return x - knots[0] if knots else math.nan
         i = min(max(bisect_right(knots, x) - 1, 0), len(knots) - 2)
         share = (x - knots[i]) / (knots[i + 1] - knots[i])
-        return math.sin(math.pi * (i + min(max(share, -0.5), 1.5)))
+        return _half_wave(i, max(min(share, 1.0 - share), -0.5))
+
+
+def wave(x: float, table: Entries | None = None) -> float:
+    """A function of ``x`` that is zero at the whole numbers, or at the knots of a table, exactly,
+    and changes sign at each: ``sin(pi x)`` but for rounding."""
+    if table is not None:
+        return table.wave(x)
+    if not math.isfinite(x):
+        return math.nan
+    whole = round(x)
+    return _half_wave(whole, x - whole)
+
+
+def _half_wave(whole: int, share: float) -> float:
+    return math.sin(math.pi * share) * (1 - 2 * (whole % 2))
 
 
 def entry(table: Sequence[Any], place: Any) -> Any:
@@ -136,7 +151,7 @@ LONG: dict[str, Callable[..., Any]] = {
     "table": lambda *entries: Entries(entries),
     "pick": entry,
     "knot": entry,
-    "wave": lambda x, table: table.wave(x),
+    "wave": wave,
 }
 
 #: The same operations on numpy scalars, which give NaN or infinity where Python would raise.

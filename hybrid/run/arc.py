@@ -46,6 +46,10 @@ if TYPE_CHECKING:
 #: A step spans at most this many time scales of a guard that is not a polynomial of the state.
 REACH = 8.0
 
+#: A kink that a landed step has elsewhere than dense output is as near as this share of the step:
+#: far above what a solver's dense output is off.
+KINK_MOVES = 1e-3
+
 #: A step made onto a predicted event may miss it by this share of the arc.
 AIMED = 1e-6
 
@@ -198,7 +202,7 @@ class ArcFlow:
                 raise FlowError(f"{self._where(start, x)}: {fault}") from None
             if found:
                 fired, last = self._ended(found, stepper, segment, x)
-                segments += [*last, *self._past(fired, stepper, length)]
+                segments += [*last, *self._past(fired, stepper, segment, length)]
                 break
             segments.append(segment)
             self.orders = [0] * len(self.orders)
@@ -555,7 +559,7 @@ class ArcFlow:
             return False
         if guard.kind not in ("release", "leave"):
             return fires(guard.crossing, zero.direction)
-        before = segment.start + max(cut.before, 0.0) * segment.length
+        before = _before(cut, segment)
         x = segment(before)
         if self.field.project is not None:
             x = np.array(self.field.project(self.now.t + before, x.tolist()))
@@ -569,7 +573,9 @@ class ArcFlow:
         opens = guard.kind == "release" and opened(self.scene, mode, name, after, x)
         return beyond > noise or opens
 
-    def _past(self, fired: Fired, stepper: Stepper, length: float) -> list[Segment]:
+    def _past(
+        self, fired: Fired, stepper: Stepper, segment: Segment, length: float
+    ) -> list[Segment]:
         """Move from just before a place at which a guard jumps to just after it, by a step of the
         size of rounding.
 
@@ -580,7 +586,9 @@ class ArcFlow:
             return []
         start, x = stepper.tau, stepper.x
         if self.field.project is not None:
-            x = np.array(self.field.project(self.now.t + start, x.tolist()))
+            late = fired.cut is not None and fired.cut.before < 0.0
+            before = _before(fired.cut, segment) if late else start
+            x = np.array(self.field.project(self.now.t + before, x.tolist()))
         flow = np.array(self.field.rhs(self.now.t + start, x.tolist()))
         shift, spacing = 0.0, float(np.spacing(abs(self.now.t) + start))
         while self._before(fired.cut, start + shift, x + shift * flow) and start + shift < length:
@@ -733,7 +741,11 @@ class ArcFlow:
         start, longest = segment.start, 1e-6 * segment.length
         small = 1e-6 * (tau - start)
         least = start + TIE * float(np.spacing(abs(self.now.t) + start))
-        last, end, shift = self.now.until(self.until), segment.end, 0.0
+        last, shift = self.now.until(self.until), 0.0
+        least_tau, most_tau = segment.start - longest, segment.end + longest
+        if fired.cut is not None:  # a deciding function that jumps there has its zero elsewhere
+            around = KINK_MOVES * segment.length
+            least_tau, most_tau = tau - around, tau + around
         smooth = fired.cut is None and not self.field.guards[fired.index].jumps
         nearest = float("inf"), stepper.tau
         try:
@@ -751,7 +763,7 @@ class ArcFlow:
                     segment, shift = stepper.land(nearest[1]), 0.0
                     break
                 nearest = value, stepper.tau
-                if not segment.start - longest <= stepper.tau + shift <= end + longest:
+                if not least_tau <= stepper.tau + shift <= most_tau:
                     shift = 0.0  # the guard is flat here: its zero is where the step shows it
                     break
                 tau = min(stepper.tau + shift, last)
@@ -802,6 +814,11 @@ class ArcFlow:
         value = kink.value(t, x)
         ahead = kink.value(t + step, [v + step * f for v, f in zip(x, flow, strict=True)])
         return value, (ahead - value) / step
+
+
+def _before(cut: Cut, segment: Segment) -> float:
+    """The local time just before a cut in a step, on which the step before may have ended."""
+    return max(segment.start + cut.before * segment.length, 0.0)
 
 
 def _outside(guard: Guard, value: float) -> float:
