@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 
 from .arrays import Floats, Ints, Matrix, Programs
-from .checks import arrives, follows
+from .checks import ROUNDING_BESIDE, arrives, beside, follows, look, place
 from .jets import KINKS
 from .kinks import (
     KINK_ROW,
     NOT_FINITE,
     SIDE_BLUR,
+    SWITCHES,
+    ZERO_SPACINGS,
     count,
     crossed_to,
     expanded,
@@ -24,6 +26,7 @@ from .kinks import (
     states,
 )
 from .lengths import SHORTEST_CUT, tolerated_length
+from .zeros import EPS
 
 __all__ = ("step",)
 
@@ -83,6 +86,10 @@ def step(
     crossed = -1
     for _ in range(2 * count(p, program) + 1):
         status = expanded(p, program, t, x, sides, c, work)
+        if status == 0 and forgotten(
+            p, program, t, tau, x, crossed, sides, c, aside, work
+        ):
+            status = expanded(p, program, t, x, sides, c, work)
         if status == 0:
             status, h, crossed = _length(
                 p, program, held, t, tau, most, loss, sides, c, aside, work, rows, found
@@ -93,11 +100,79 @@ def step(
             break
         row = p.kinks[p.index[program, KINKS] + crossed, KINK_ROW]
         sides[crossed] = crossed_to(c, row, sides[crossed])
+        begun(p, program, c, aside)
     if not h > SHORTEST_STEP or (tau + h == tau and h < most):
         return NO_STEP, 0.0, -1
     if not arrives(p, program, t, h, crossed < 0, sides, c, aside, work, end):
         return NOT_FINITE, 0.0, -1
     return 0, h, crossed
+
+
+def begun(p: Programs, program: int, c: Matrix, aside: Matrix) -> None:
+    """Put down the values of watched functions where a step begins."""
+    for j in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
+        aside[p.kinks[j, KINK_ROW], 0] = c[p.kinks[j, KINK_ROW], 0]
+
+
+def forgotten(
+    p: Programs,
+    program: int,
+    t: float,
+    tau: float,
+    x: Floats,
+    turned: int,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+) -> bool:
+    """Forget the sides of kinks that are not zero where a step begins, as another that is zero
+    there has changed their own formula; returns whether there are any.
+
+    ``turned``: the one that has turned there since the values in ``aside`` were put down, or -1.
+    """
+    first, found, known = p.index[program, KINKS], False, False
+    for i in range(count(p, program)):
+        known = known or sides[i] != 0
+    if known and turned < 0:
+        rounded(p, program, t, x, sides, c, aside, work)
+    for i in range(count(p, program)):
+        row = p.kinks[first + i, KINK_ROW]
+        off = abs(c[row, 0] - aside[row, 0])
+        if turned < 0:
+            moved = ZERO_SPACINGS * EPS * max(abs(t), tau) * abs(c[row, 1])
+            stale = abs(c[row, 0]) > ROUNDING_BESIDE * off + moved
+        else:
+            stale = i != turned and off > 0.0
+        if sides[i] != 0 and stale:
+            sides[i], found = 0, True
+    return found
+
+
+def rounded(
+    p: Programs,
+    program: int,
+    t: float,
+    x: Floats,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+) -> None:
+    """Put down the values of watched functions beside the start of a step, each with the formula
+    that it has at the start."""
+    first, place_of = p.index[program, KINKS], place(p, program, work)
+    point = work[place_of : place_of + states(p, program)]
+    for i in range(point.shape[0]):
+        point[i] = x[i]
+    for i in range(count(p, program)):
+        row = p.kinks[first + i, KINK_ROW]
+        aside[row, 1] = sides[i]
+        if sides[i] == 0 and c[row, 0] != 0.0 and p.kinks[first + i, SWITCHES] == 1:
+            sides[i] = 1 if c[row, 0] > 0.0 else -1
+    look(p, program, 0, beside(t, point), point, True, sides, aside, work)
+    for i in range(count(p, program)):
+        sides[i] = int(aside[p.kinks[first + i, KINK_ROW], 1])
 
 
 def _length(
