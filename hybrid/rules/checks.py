@@ -11,7 +11,7 @@ import math
 
 from .arrays import Floats, Ints, Matrix, Programs
 from .jets import FLOW, KINKS, jets
-from .kinks import KINK_KIND, KINK_ROW, POINT, STEP_KINK, WHOLE_ROW, count, states
+from .kinks import BAND, KINK_KIND, KINK_ROW, POINT, STEP_KINK, WHOLE_ROW, count, states
 from .lengths import behind
 from .polynomials import power_size, power_value, two_values
 from .zeros import EPS
@@ -306,7 +306,8 @@ def _directs(
 
 
 def _decides(p: Programs, program: int, s: float, c: Matrix, aside: Matrix) -> bool:
-    """Whether the series of watched functions have their values, up to rounding."""
+    """Whether the series of watched functions have their values, up to rounding: of an argument in
+    a band no less than that of 1, over which the function changes (``exp(a)`` by ``exp(1)``)."""
     order = c.shape[1] - 1
     for j in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
         if p.kinks[j, KINK_KIND] == POINT:
@@ -315,6 +316,8 @@ def _decides(p: Programs, program: int, s: float, c: Matrix, aside: Matrix) -> b
         value, other = aside[p.kinks[j, WHOLE_ROW], 1], aside[p.kinks[j, WHOLE_ROW], 0]
         off = abs(value - power_value(series, 0, order, s)[0])
         size = power_size(series, 0, order, s)
+        if p.kinks[j, KINK_KIND] == BAND:
+            size = max(size, 1.0)
         if p.kinks[j, KINK_KIND] == STEP_KINK:
             size += abs(value)
             off = min(off % 1.0, 1.0 - off % 1.0)  # from the nearest whole number
