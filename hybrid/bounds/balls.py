@@ -202,6 +202,15 @@ def _stepwise(function: Callable[[Fraction], int]) -> Any:
     return rising(lambda v: arb(function(_fraction(v))))
 
 
+def _entry(table: tuple[Any, ...], place: Any) -> Any:
+    """The entry of a table at a place, clamped to its range: the hull of all that may be meant."""
+    if not place.is_finite():
+        return Undefined("a place in a table that may not be finite")
+    first, last = (math.floor(_fraction(end)) for end in ends(place))
+    least, most = (min(max(k, 0), len(table) - 1) for k in (first, last))
+    return hull(*table[least : most + 1])
+
+
 def _away(x: Fraction) -> int:
     size = math.floor(abs(x) + Fraction(1, 2))
     return size if x >= 0 else -size
@@ -335,6 +344,9 @@ BALLS: dict[str, Callable[..., Any]] = {
     "away": _stepwise(_away),
     "trunc": lambda a: _stepwise(math.trunc)(a) if isinstance(a, arb) else _real(a),
     "real": _real,
+    "table": lambda *entries: entries,
+    "pick": _entry,
+    "knot": _entry,
     "is_finite": lambda a: not isinstance(a, arb) or bool(a.is_finite()),
     "gt": _greater,
     "ge": _at_least,
@@ -354,7 +366,7 @@ _steps = {
 }
 
 #: Operations that accept an infinite argument.
-LIMITS = {"select", "max", "min", "is_finite", "gt", "ge", "lt", "le", "eq", "ne"}
+LIMITS = {"select", "max", "min", "is_finite", "gt", "ge", "lt", "le", "eq", "ne", "pick", "knot"}
 
 #: Whether an operation may jump while its arguments vary over the balls.
 JUMPS: dict[str, Callable[..., bool]] = {
@@ -362,6 +374,7 @@ JUMPS: dict[str, Callable[..., bool]] = {
     "sign": lambda a: not (a > 0 or a < 0 or a == 0),
     "real": lambda a: a is None,
     "atan2": _cut,
+    **dict.fromkeys(("pick", "knot"), lambda table, place: not place.is_exact()),
     "rem": lambda a, b: not _stepwise(math.trunc)(_div(a, b)).is_exact(),
     **{n: (lambda a, b, n=n: BALLS[n](a, b) is None) for n in ("gt", "ge", "lt", "le", "eq", "ne")},
 }

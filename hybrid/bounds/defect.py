@@ -89,7 +89,8 @@ class Defect:
     ) -> float:
         """The fraction of a step up to which its polynomial provably follows the flow.
 
-        It is 1 if the rest is within the rounding of the time.
+        What is within the rounding of the time from either end is not asked: a formula that
+        changes there is on both its sides.
 
         Parameters
         ----------
@@ -103,10 +104,11 @@ class Defect:
         from .interval import PRECISION
         from .series import with_terms
 
-        rates, speck = _allowed(field, t, length, coefficients, lost)
-        reach = lambda: self._reach(field, t, length, coefficients, rates, speck)  # noqa: E731
-        share = float(with_terms(reach, PRECISION))
-        return 1.0 if (1.0 - share) * length <= 64 * EPS * max(length, abs(t)) else share
+        allowed = _allowed(field, t, length, coefficients, lost)
+        blurred = 64 * EPS * max(length, abs(t)) / length
+        reach = lambda: self._reach(field, t, length, coefficients, *allowed, blurred)  # noqa: E731
+        share = float(with_terms(reach, 160))
+        return 1.0 if 1.0 - share <= blurred else share
 
     def left_open(self, field: Field, t: float, x: StateVector, off: StateVector) -> StateVector:
         """Uncertainty of the flow when time, states and operations are known to rounding only.
@@ -149,6 +151,7 @@ class Defect:
         coefficients: Matrix,
         rates: Numbers,
         speck: Numbers,
+        blurred: float,
     ) -> float:
         from flint import arb
 
@@ -160,7 +163,9 @@ class Defect:
             piece = pieces.pop()
             bound, least = self._bound(field, piece)
             small = bound <= np.maximum(rates, speck / (2.0 * float(piece.half)))
-            if not np.all(small):
+            begins, ends = (float(piece.middle - start) + sign * float(piece.half) for sign in (-1, 1))
+            at_end = min(ends, length - begins) <= blurred * length
+            if not (at_end or np.all(small)):
                 if np.any(least > rates) and float(piece.half) < 1e-3 * length:
                     return _share(piece, start, length)
                 pieces += piece.halves()[::-1]

@@ -346,6 +346,7 @@ _NAMED: dict[str, Callable[..., Any]] = {
 }
 
 GROWTH_RULES: dict[str, Callable[..., Any]] = {
+    "table": lambda *entries: Undefined("an entry of a table"),
     "neg": _neg,
     "add": _add,
     "sub": lambda a, b: _add(a, _neg(b)),

@@ -17,6 +17,7 @@ from flint import arb, arb_series, ctx
 
 from ..lowering.graph import Graph, needed
 from .balls import BALLS, Undefined
+from .interval import OF_ONE_NODE
 
 #: Terms of the series. With twelve, a piece as long as a tenth of the radius of convergence is
 #: resolved to a relative 1e-12; with more, the higher cost outweighs the smaller number of pieces.
@@ -28,6 +29,9 @@ STEP_FUNCTIONS = {"floor", "ceil", "round", "away", "trunc", "sign"}
 #: Tests, and logical operations.
 TESTS = {"gt", "ge", "lt", "le", "eq", "ne"}
 LOGIC = {"and", "or", "xor", "not", "is_finite"}
+
+#: Entries of tables, at places that tests have decided.
+ENTRIES = {"pick", "knot"}
 
 
 class Balls:
@@ -106,8 +110,10 @@ class Bound:
 
 
 def _placed(node: tuple[Any, ...], place: Mapping[int, int]) -> tuple[str, list[Any]]:
-    """An operation with the places of its arguments, or with the data of an input or constant."""
+    """An operation with the places of its arguments, or with the data of an input or constant. A
+    test of a node against itself has one place."""
     op, *given = node
+    given = given[:1] if op in TESTS and given[0] == given[1] else given
     return op, given if op in ("input", "const") else [place[a] for a in given]
 
 
@@ -128,6 +134,10 @@ def _apply(op: str, args: list[Any]) -> Any:
     bad = next((a for a in args if isinstance(a, Undefined)), None)
     if bad is not None:
         return bad
+    if op in TESTS and len(args) == 1:
+        return OF_ONE_NODE[op]
+    if op in ENTRIES and _first(args[1]).is_exact():
+        return BALLS[op](args[0], _first(args[1]))
     if op in TESTS or op in LOGIC or op in STEP_FUNCTIONS or op == "real":
         return _whole(op, [_first(a) for a in args])
     if not any(isinstance(a, arb_series) for a in args):
