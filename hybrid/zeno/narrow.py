@@ -19,8 +19,9 @@ effects between them (a force pulse, a bump of the table, a restitution that cha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from functools import cached_property, partial
+from collections.abc import Callable, Iterable, Sequence
+from functools import cache, cached_property, partial
+from itertools import product
 from importlib.util import find_spec
 from math import exp, inf, log, nextafter
 from typing import TYPE_CHECKING, Any
@@ -59,7 +60,11 @@ from .accumulate import Tail
 from .flight import fly
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers
     from ..lowering import Contact, Field
+
+#: Deciding functions that have both signs in flights, at most, whose formulas are bounded apart.
+BOTH_SIDES = 4
 
 #: A loss below this counts as zero: a few hundred roundings of the restitution.
 LOST = 1e-13
@@ -256,11 +261,8 @@ def _fits(look: _Look, stretch: Stretch, excess: float) -> bool:
     if ranges and all(map(_within, *zip(*ranges[:-1], strict=True), least, most)):
         rate: tuple[Any, Any] = ranges[-1]
     else:
-        found = look.program.enclose(box)
-        balls = [each.value for each in found]
-        if not all(each.defined for each in found) or not all(
-            map(_within, balls[:-1], balls[:-1], least, most)
-        ):
+        balls = look.enclose(box)
+        if balls is None or not all(map(_within, balls[:-1], balls[:-1], least, most)):
             return False
         rate = (balls[-1], balls[-1])
     return _steady(look, stretch, *rate, excess, brief(excess * sizes[0], stretch.longest))
@@ -296,10 +298,24 @@ class _Look:
     """
 
     program: Any
+    sides: Callable[[], list[Any]]
     given: dict[str, float]
     keeps: Callable[[dict[str, Any]], bool]
     at: Callable[[float, list[float], float], list[float]]
     rate: Callable[[float, list[float], float], float]
+
+    def enclose(self, box: dict[str, Any]) -> list[Any] | None:
+        """Balls that contain the functions on a box, if need be formula by formula; None if one may
+        be undefined there."""
+        found = self.program.enclose(box)
+        if all(each.defined for each in found):
+            return [each.value for each in found]
+        sides = [program.enclose(box) for program in self.sides()]
+        if not sides or not all(each.defined for side in sides for each in side):
+            return None
+        from ..bounds.balls import hull
+
+        return [hull(*(each.value for each in column)) for column in zip(*sides, strict=True)]
 
 
 def bounded(field: Field, contact: Contact) -> tuple[bool, Any]:
@@ -332,9 +348,11 @@ def _gap(field: Field, contact: Contact) -> _Gap:
     return made  # type: ignore[no-any-return]
 
 
-def _program(field: Field, contact: Contact, gap: _Gap, signs: dict[int, int]) -> Any:
-    key = ("narrow", field.name, contact.name, *signs.items())
-    return field.code.once(key, lambda: gap.program(signs))
+def _program(
+    field: Field, contact: Contact, gap: _Gap, signs: dict[int, int], both: Sequence[int] = ()
+) -> Any:
+    key = ("narrow", field.name, contact.name, *signs.items(), *both)
+    return field.code.once(key, lambda: gap.program(signs, both=both))
 
 
 def parameters(field: Field) -> dict[str, Any]:
@@ -344,7 +362,7 @@ def parameters(field: Field) -> dict[str, Any]:
 def _look(tail: Tail) -> _Look:
     field, contact = tail.field, tail.contact
     gap = _gap(field, contact)
-    ends, signs = gap.signs(tail)
+    signs, both = gap.signs(tail)
     program, given = _program(field, contact, gap, signs), parameters(field)
     lie, law = field.guards[tail.column].lie, contact.law
 
@@ -362,7 +380,29 @@ def _look(tail: Tail) -> _Look:
         return every(t, x, u)[:-1]
 
     at = signed if signs else plain
-    return _Look(program, given, partial(gap.keeps, ends), at, lambda *point: every(*point)[-1])
+    apart = [signs] if not both else _apart(gap, signs, both)
+
+    def sides() -> list[Any]:
+        return [_program(field, contact, gap, each, both) for each in apart] if both else []
+
+    @cache
+    def kept() -> list[Callable[[dict[str, Any]], bool]]:
+        return [partial(_keeps, gap.sided(each), gap.ends(tail, each)) for each in apart]
+
+    def keeps(box: dict[str, Any]) -> bool:
+        return bool(apart) and all(each(box) for each in kept())
+
+    return _Look(program, sides, given, keeps, at, lambda *point: every(*point)[-1])
+
+
+def _apart(gap: _Gap, signs: dict[int, int], both: list[int]) -> list[dict[int, int]]:
+    """The signs of the deciding functions in each part of the flights, in which those that have
+    both signs have one; empty if these are too many."""
+    if len(both) > BOTH_SIDES:
+        return []
+    ways = (dict(zip(both, way, strict=True)) for way in product((1, -1), repeat=len(both)))
+    found = [signs | way for way in ways]
+    return [{n: each[n] for n in gap.choosers if n in each} for each in found]
 
 
 class _Gap:
@@ -388,36 +428,34 @@ class _Gap:
         (found,) = read(self.graph, closed, inputs)
         return [int(i) for i in found.reshape(-1)]
 
-    def keeps(self, ends: list[float], box: dict[str, Any]) -> bool:
-        """Whether each deciding function that is not zero at the limit keeps, all over a box, its
-        sign at the limit. If it does not, the formula may change in some flights only, and sampled
-        flights need not show that."""
-        if self.deciding is None:
-            return True
-        found = self.deciding.enclose(box)
-        return all(
-            each.defined and bool(each.value * int(end) > 0)
-            for each, end in zip(found, ends, strict=True)
-            if end != 0.0
-        )
+    def sided(self, signs: dict[int, int]) -> Any:
+        """The deciding functions, with the formulas that hold in all flights; None if there are
+        none."""
+        from ..bounds.interval import IntervalProgram
 
-    def signs(self, tail: Tail) -> tuple[list[float], dict[int, int]]:
-        """The signs of the deciding functions at the limit; and, by node, the sign in all flights
-        of each function that is zero at the limit."""
+        if not signs:
+            return self.deciding
+        nodes = one_sided(self.graph, self.choosers, signs)
+        return IntervalProgram(self.graph, nodes[: len(self.choosers)])
+
+    def signs(self, tail: Tail) -> tuple[dict[int, int], list[int]]:
+        """By node, the sign in all flights of each deciding function that is zero at the limit; and
+        the nodes of those that have both signs in flights."""
         if self.deciding is None:
-            return [], {}
-        given = named("p", flat(tail.field.parameters))
+            return {}, []
         flown = [(t, x) for t, x, _ in Stretch(tail).points]
-        found = []
-        for t, x in [(tail.t + tail.remaining, tail.x_inf.tolist()), *flown]:
-            each = self.deciding.enclose({**given, **named("x", x), "t": t})
-            found.append([float(e.value.mid()) if e.defined else np.nan for e in each])
-        rounding = 64 * EPS * max(np.abs(tail.x_inf).max(), np.abs(tail.x).max())
-        last, *others = np.where(np.abs(found) <= rounding, 0.0, np.sign(found))
+        last, *others = (_signs(self.deciding, tail, *point) for point in [_limit(tail), *flown])
         ways = np.min(others, axis=0) + np.max(others, axis=0)  # +-1 if no two signs are opposite
-        columns = zip(self.choosers, last, ways, strict=True)
-        known = {n: int(way) for n, end, way in columns if end == 0.0 and abs(way) == 1.0}
-        return np.nan_to_num(last).tolist(), known
+        at_zero = [(n, way) for n, end, way in zip(self.choosers, last, ways, strict=True) if end == 0]
+        known = {n: int(way) for n, way in at_zero if abs(way) == 1.0}
+        return known, [n for n, way in at_zero if abs(way) != 1.0]
+
+    def ends(self, tail: Tail, signs: dict[int, int]) -> list[float]:
+        """The signs of the deciding functions at the limit, with the formulas that hold in flights
+        of given signs."""
+        if self.deciding is None:
+            return []
+        return np.nan_to_num(_signs(self.sided(signs), tail, *_limit(tail))).tolist()
 
     def guards(self, field: Field, contact: str) -> list[int]:
         """The nodes of the guards other than the contact's; empty if one has no bounds."""
@@ -431,9 +469,10 @@ class _Gap:
             return []
         return found
 
-    def program(self, signs: dict[int, int], *others: int) -> Any:
+    def program(self, signs: dict[int, int], *others: int, both: Sequence[int] = ()) -> Any:
         """The program of the functions to bound, for given signs of the deciding functions that are
-        zero at the limit; then the nodes ``others``."""
+        zero at the limit; then the nodes ``others``. Those in ``both`` are not bounded themselves,
+        as they have both signs."""
         from ..bounds.interval import IntervalProgram
 
         graph, count = self.graph, 1 + len(self.flow)
@@ -443,8 +482,34 @@ class _Gap:
         def rate(node: int, times: int) -> int:
             return rate(along(graph, node, rates), times - 1) if times else node
 
-        roots = [rate(n, 2) for n in [nodes[0], *nodes[count:]]]
+        own = [n for n, chooser in zip(nodes[count:], signs, strict=True) if chooser not in both]
+        roots = [rate(n, 2) for n in [nodes[0], *own]]
         return IntervalProgram(graph, [*roots, self.law, rate(roots[0], RATES), *others])
+
+
+def _limit(tail: Tail) -> tuple[float, list[float]]:
+    return tail.t + tail.remaining, tail.x_inf.tolist()
+
+
+def _signs(deciding: Any, tail: Tail, t: float, x: list[float]) -> Numbers:
+    """The signs of deciding functions at a point, 0 where rounding decides."""
+    given = named("p", flat(tail.field.parameters)) | named("x", x) | {"t": t}
+    found = [float(e.value.mid()) if e.defined else np.nan for e in deciding.enclose(given)]
+    rounding = 64 * EPS * max(np.abs(tail.x_inf).max(), np.abs(tail.x).max())
+    return np.where(np.abs(found) <= rounding, 0.0, np.sign(found))
+
+
+def _keeps(deciding: Any, ends: list[float], box: dict[str, Any]) -> bool:
+    """Whether each deciding function that is not zero at the limit keeps, all over a box, its
+    sign at the limit. If it does not, the formula may change in some flights only, and sampled
+    flights need not show that."""
+    if deciding is None:
+        return True
+    return all(
+        each.defined and bool(each.value * int(end) > 0)
+        for each, end in zip(deciding.enclose(box), ends, strict=True)
+        if end != 0.0
+    )
 
 
 def named(letter: str, values: Iterable[Any]) -> dict[str, Any]:
