@@ -615,6 +615,61 @@ def test_a_clock_rings_beside_a_guard_whose_condition_fails(way):
         assert result.edges == ["beat", "first", "beat", "first", "beat"]
 
 
+class Tossed(hy.Automaton):
+    """Leaves a table and falls back: ``x`` is ``table + v t + a t^2 / 2 - t^3``."""
+
+    x = hy.state()
+    v = hy.state()
+    a = hy.state()
+    table: float = hy.parameter(0.0)
+    deepest: float = hy.parameter(-1.0, doc="how far below the table it is still noticed")
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, s.a, -6.0
+
+    @hy.edge(
+        flight,
+        to=hy.TERMINATE,
+        guard=lambda self, t, s: s.x - self.table,
+        when=lambda self, t, s: s.x > self.table + self.deepest,
+    )
+    def back(self, t, s):
+        return s
+
+
+class TossedEitherWay(Tossed):
+    back = hy.edge(
+        Tossed.flight,
+        to=hy.TERMINATE,
+        guard=lambda self, t, s: s.x - self.table,
+        crossing=hy.EITHER,
+    )
+
+
+@ways
+@pytest.mark.parametrize("cls", [Tossed, TossedEitherWay])
+@pytest.mark.parametrize("table", [0.0, 500.0])
+def test_an_event_that_comes_back_from_where_rounding_hides_it_fires(way, cls, table):
+    """A guard that bounds nothing is zero at the start, rises and falls again before it is larger
+    than its rounding: the zero at which it falls counts as any other does."""
+    for back in (1e-6, 1e-16, 1e-32):
+        for v, a in ((back**2, 0.0), (0.0, 2.0 * back)):
+            start = {"x": table, "v": v, "a": a}
+            result = way.run(cls(table=table), start, (0.0, 1.0), rtol=1e-9)
+            assert (result.status, result.jumps) == ("terminated", 1)
+            # by the series of the guard, onto which a step is made to a few millionths of itself
+            assert result.t == pytest.approx(back, rel=1e-5)
+
+
+@ways
+def test_an_event_that_comes_back_at_once_has_its_condition(way):
+    """Where the condition fails, such a zero is passed as any other is."""
+    start = {"x": 0.0, "v": 1e-32, "a": 0.0}
+    result = way.run(Tossed(deepest=1.0), start, (0.0, 1.0), rtol=1e-9)
+    assert (result.status, result.jumps) == ("reached_end", 0)
+
+
 def test_a_proof_before_the_run_has_no_urgent_edge():
     """It may fire behind any impact."""
     with pytest.raises(hy.OptionError, match="Fading, contact impact: edge catch is urgent"):
