@@ -258,6 +258,16 @@ def test_an_urgent_edge_fires_beyond_zero_as_often_as_it_must(way):
     assert result.final.x == pytest.approx(0.5, abs=1e-12)
 
 
+@ways
+@pytest.mark.parametrize("full", [2, 3])
+def test_an_urgent_edge_whose_own_jumps_lead_to_zero_fires_there(way, full):
+    """From whole buckets it spills to 1, where it is full again, and to 0; then at 1 and 2."""
+    result = way.run(Rush(), {"x": float(full), "n": 0.0}, (0.0, 2.5))
+    np.testing.assert_allclose(result.times, [0.0] * full + [1.0, 2.0], rtol=1e-12)
+    assert result.final.n == full + 2
+    assert result.final.x == pytest.approx(0.5, abs=1e-12)  # steps of a line: rounding
+
+
 class Loop(Rush):
     """Its reset leaves it beyond for ever."""
 
