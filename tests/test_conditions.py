@@ -258,6 +258,16 @@ def test_an_urgent_edge_fires_beyond_zero_as_often_as_it_must(way):
     assert result.final.x == pytest.approx(0.5, abs=1e-12)
 
 
+@ways
+@pytest.mark.parametrize("full", [2, 3])
+def test_an_urgent_edge_whose_own_jumps_lead_to_zero_fires_there(way, full):
+    """From whole buckets it spills to 1, where it is full again, and to 0; then at 1 and 2."""
+    result = way.run(Rush(), {"x": float(full), "n": 0.0}, (0.0, 2.5))
+    np.testing.assert_allclose(result.times, [0.0] * full + [1.0, 2.0], rtol=1e-12)
+    assert result.final.n == full + 2
+    assert result.final.x == pytest.approx(0.5, abs=1e-12)  # steps of a line: rounding
+
+
 class Loop(Rush):
     """Its reset leaves it beyond for ever."""
 
@@ -613,6 +623,61 @@ def test_a_clock_rings_beside_a_guard_whose_condition_fails(way):
     assert result.final.n == -1.0
     if way.tells("edges"):
         assert result.edges == ["beat", "first", "beat", "first", "beat"]
+
+
+class Tossed(hy.Automaton):
+    """Leaves a table and falls back: ``x`` is ``table + v t + a t^2 / 2 - t^3``."""
+
+    x = hy.state()
+    v = hy.state()
+    a = hy.state()
+    table: float = hy.parameter(0.0)
+    deepest: float = hy.parameter(-1.0, doc="how far below the table it is still noticed")
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, s.a, -6.0
+
+    @hy.edge(
+        flight,
+        to=hy.TERMINATE,
+        guard=lambda self, t, s: s.x - self.table,
+        when=lambda self, t, s: s.x > self.table + self.deepest,
+    )
+    def back(self, t, s):
+        return s
+
+
+class TossedEitherWay(Tossed):
+    back = hy.edge(
+        Tossed.flight,
+        to=hy.TERMINATE,
+        guard=lambda self, t, s: s.x - self.table,
+        crossing=hy.EITHER,
+    )
+
+
+@ways
+@pytest.mark.parametrize("cls", [Tossed, TossedEitherWay])
+@pytest.mark.parametrize("table", [0.0, 500.0])
+def test_an_event_that_comes_back_from_where_rounding_hides_it_fires(way, cls, table):
+    """A guard that bounds nothing is zero at the start, rises and falls again before it is larger
+    than its rounding: the zero at which it falls counts as any other does."""
+    for back in (1e-6, 1e-16, 1e-32):
+        for v, a in ((back**2, 0.0), (0.0, 2.0 * back)):
+            start = {"x": table, "v": v, "a": a}
+            result = way.run(cls(table=table), start, (0.0, 1.0), rtol=1e-9)
+            assert (result.status, result.jumps) == ("terminated", 1)
+            # by the series of the guard, onto which a step is made to a few millionths of itself
+            assert result.t == pytest.approx(back, rel=1e-5)
+
+
+@ways
+def test_an_event_that_comes_back_at_once_has_its_condition(way):
+    """Where the condition fails, such a zero is passed as any other is."""
+    start = {"x": 0.0, "v": 1e-32, "a": 0.0}
+    result = way.run(Tossed(deepest=1.0), start, (0.0, 1.0), rtol=1e-9)
+    assert (result.status, result.jumps) == ("reached_end", 0)
 
 
 def test_a_proof_before_the_run_has_no_urgent_edge():

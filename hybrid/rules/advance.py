@@ -126,7 +126,8 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
             copied(now.end, behind)
         elif kind in (EDGE, CLOCK):
             copied(now.end, before)
-            if values(a, a.guards[guard, RESET], t, now.end, room, behind):
+            late = beyond(a, now, guard) and now.floats[TAU] == 0.0
+            if not late and values(a, a.guards[guard, RESET], t, now.end, room, behind):
                 status, to = stays(a, now, room, t, behind, to)
                 held = kind == EDGE and unchanged(a, now, room, t, before, behind)
                 power = 1 if held and not beyond(a, now, guard) else 0

@@ -119,8 +119,9 @@ def zero_of(
     """When a guard fires in a step; infinite where it does not, 0 where it is not plain.
 
     It is not where the guard does not begin with the sign with which it ended the last step, where
-    a polynomial has it leave zero, or begin, outside the domain, or where it ends with another sign
-    than it begins and crosses with: there it is as near to zero as rounding.
+    a polynomial has it leave zero, or begin, outside the domain, where that of another solver's
+    step has it leave zero to fire, by no more than the step may lose, or where it ends with another
+    sign than it begins and crosses with: there it is as near to zero as rounding.
     """
     field = now.ints[FIELD]
     place = guard - a.fields[field, GUARDS]
@@ -133,7 +134,9 @@ def zero_of(
     starting = starting or order > 0
     if not starting and not c[0] * now.signs[place] > 0.0:
         return 0.0
-    if starting and a.guards[guard, BOUNDS] == 1 and c[order] * crossing > 0.0:
+    slow = now.ints[PHASE] == SEES and order > 0 and abs(c[order]) * h**order <= tolerance
+    goes = c[order] * crossing
+    if starting and ((a.guards[guard, BOUNDS] == 1 and goes > 0.0) or (slow and goes >= 0.0)):
         return 0.0
     degree, near = c.shape[0] - 1, tolerance if order == 0 else NEVER
     if (order == 0 or (left == 0.0 and not bends)) and outweighs(c, order, degree, h, near):

@@ -150,8 +150,19 @@ def ago(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float) -> float
         return -1.0
     row, before = row_of(a, program, field, guard), now.signs[place]
     value, rate = room.aside[row, 0], room.aside[row, 1]
-    size = size_so_far(a, now, room, guard, t)
-    return since(value, rate, before, t, GUARD_ROUNDING * EPS * size + 2.0 * now.zeros[place, OFF])
+    rounding = rounding_there(a, now, room, guard, t, rate)
+    return since(value, rate, before, t, rounding + 2.0 * now.zeros[place, OFF])
+
+
+def rounding_there(
+    a: AutomatonArrays, now: Now, room: Room, guard: int, t: float, rate: float
+) -> float:
+    """The rounding of a guard at ``now.end``: that of what it is made of there, and of what that
+    has been as far as this does not hide the way that the guard has gone since the arc began."""
+    here, _, _ = sizes_of(a, room, guard, t, now.end)
+    way = (t - now.floats[T]) - now.floats[LOW]
+    far = GUARD_ROUNDING * EPS * size_so_far(a, now, room, guard, t)
+    return max(GUARD_ROUNDING * EPS * here, min(far, FURTHEST_APART * abs(rate) * way))
 
 
 def size_so_far(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float) -> float:

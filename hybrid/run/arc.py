@@ -108,7 +108,8 @@ class Flown:
 class ArcFlow:
     """Flows one arc from an entry, to the time ``until`` at most (default: the end of the run).
 
-    ``carried``: the edge whose guard has just jumped over zero (:class:`.Jumped`).
+    ``carried``: the edge whose guard has just jumped over zero; ``spent``: the edges that have been
+    taken where the arc begins (:class:`.Jumped`).
     """
 
     def __init__(
@@ -121,12 +122,13 @@ class ArcFlow:
         until: float | None = None,
         losses: Losses | None = None,
         carried: str | None = None,
+        spent: frozenset[str] = frozenset(),
     ) -> None:
         self.scene, self.solver, self.plan, self.now = scene, solver, plan, now
         self.losses = Losses(plan, solver.whole, entry.x) if losses is None else losses
         self.until = plan.t1 if until is None else until
         self.field, self.x, self.series = entry.field, entry.x, entry.series
-        self.signs, self.carried = entry.signs, carried
+        self.signs, self.carried, self.spent = entry.signs, carried, spent
         self.orders = self.entered = entry.orders
         kept = plan.dense or plan.samples is not None or bool(scene.spec.lags)
         self.wanted = kept or bool(self.field.guards)
@@ -371,8 +373,8 @@ class ArcFlow:
             return None
         found = {}
         for index in filter(self._predicts, range(len(self.field.guards))):
-            gap = [self._side(index) * c for c in self.series[1][index]]
-            gap[0] = 0.0 if self.entered[index] else gap[0]
+            gap = [self._inside(index) * c for c in self.series[1][index]]
+            gap[: self.entered[index]] = [0.0] * self.entered[index]
             zero = falls(self.series[0], gap, FORESEEN_FAR ** (1.0 / ORDER))
             if zero is not None and zero < length:
                 found[index] = zero
@@ -382,15 +384,18 @@ class ArcFlow:
 
     def _predicts(self, index: int) -> bool:
         """Whether a guard's next zero is predicted from its series: that of a contact, or of a
-        guard that starts at zero."""
+        guard that starts at zero. One that bounds nothing and has fired there is to leave zero
+        first."""
         guard, order = self.field.guards[index], self.entered[index]
         if guard.kind in ("edge", "switch"):
-            return guard.when is None and order == 1 and guard.crossing is not Crossing.EITHER
+            either = guard.crossing is Crossing.EITHER
+            waits = guard.edge not in self.spent and self.signs[index] == self._inside(index)
+            return (order == 1 and guard.bounds and not either) or (order > 0 and waits)
         return guard.kind == "contact" and order <= 1
 
-    def _side(self, index: int) -> float:
-        """The sign of a guard inside the domain."""
-        return -1.0 if self.field.guards[index].crossing is Crossing.RISING else 1.0
+    def _inside(self, index: int) -> int:
+        """The sign that a guard has where it waits for its zero."""
+        return -DIRECTIONS[self.field.guards[index].crossing] or self.signs[index]
 
     def _scales(self, tau: float, x: StateVector) -> list[float]:
         """Times over which guards that are not polynomials of the state are smooth."""
@@ -659,9 +664,9 @@ class ArcFlow:
         value, rate, _ = guard.lie(t, x)
         rounding = self._rounding(index, t, x)
         if index in self.predicted:
-            inwards = int(self._side(index))
-            near = abs(value) <= -AIMED * inwards * rate * segment.length
-            return Fired(index, segment.end, -inwards) if near or abs(value) <= rounding else None
+            inwards = self._inside(index)
+            near = abs(value) <= max(rounding, -AIMED * inwards * rate * segment.length)
+            return Fired(index, segment.end, -inwards) if near and guard.holds(t, x) else None
         direction, middle = int(np.sign(rate)), segment.start + 0.5 * segment.length
         if not guard.holds(t, x) or not (
             fires(guard.crossing, direction) and abs(value) <= AIMED * abs(rate) * segment.length

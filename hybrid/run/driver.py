@@ -341,7 +341,8 @@ class Driver:
         (_, due), until = clocks.due(self, entry.field, entry.x), self.horizon
         self.losses.seen, last = self.seen, min(due, until)
         known, jumped = (self.scene, self.flies, self.plan, entry, now, last), self.jumped
-        arc = ArcFlow(*known, self.losses, jumped.used if jumped.beyond_by else None)
+        carried = jumped.used if jumped.beyond_by else None
+        arc = ArcFlow(*known, self.losses, carried, jumped.spent)
         flown = arc.run()
         self.steps += flown.steps
         if memory is not None:

@@ -59,6 +59,8 @@ def _reset(driver: Driver, guard: Guard, before: StateVector, carried: bool) -> 
     came = came_by(driver, guard, before, after, carried)
     if carried or driver.forgets or has_jumped(driver, guard, before):
         came.vanishing = {}
+    if came.used is None:
+        driver.spent -= {guard.edge}
     came.held = driver.still_held(guard.to, after)
     driver.watch.reset()
     if guard.to == TERMINATE:
@@ -74,13 +76,15 @@ def came_by(
 ) -> Jumped:
     """What a reset tells about the state after it: whether its guard has kept its value, whether
     the guard still moves in the same direction, and whether it has been ``carried`` over zero and
-    still is beyond."""
+    still is beyond. An urgent edge that has fired beyond zero is none that was just used: where its
+    reset leads the guard to zero, it has come there."""
     here, there = (guard.lie(driver.t, x.tolist()) for x in (before, after))
     onwards = here[1] * there[1] > 64 * EPS * here[1] * here[1]
     beyond = guard.urgent and has_jumped(driver, guard, before)
     known = {guard.edge: 1} if here[0] == there[0] and not beyond else {}
     off = driver.beyond_by if carried and here[0] * there[0] > 0 else 0.0
-    return Jumped(known, used=guard.edge, onwards=bool(onwards), beyond_by=copysign(off, there[0]))
+    used = None if beyond else guard.edge
+    return Jumped(known, used=used, onwards=bool(onwards), beyond_by=copysign(off, there[0]))
 
 
 def has_jumped(driver: Driver, guard: Guard, x: StateVector) -> bool:
