@@ -311,6 +311,23 @@ def test_a_touch_from_beyond_is_warned_of(unit, inside):
     assert orbit.jumps == 0
 
 
+class Apart(VanDerPol):
+    """Van der Pol's oscillator, with a state that is 0 and stays so beside it."""
+
+    z = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return s.v, (1.0 - s.x**2) * s.v - s.x, -s.z
+
+
+def test_a_state_that_is_zero_and_stays_so_has_an_orbit():
+    """The plane of its first return is across what moves."""
+    orbit = hy.periodic_orbit(Apart(), [2.0, 0.1, 0.0])
+    assert orbit.period == pytest.approx(VAN_DER_POL, rel=1e-11)
+    assert np.sort(np.abs(orbit.multipliers))[1] == pytest.approx(math.exp(-VAN_DER_POL), rel=1e-7)
+
+
 class Dragged(hy.Automaton):
     """A drag by the square of the speed: its formula changes where the body turns."""
 
