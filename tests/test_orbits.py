@@ -133,6 +133,63 @@ def test_a_map_through_accumulation_and_rest():
     np.testing.assert_allclose(np.diff(found.t)[1:], 2 * math.pi / 3.5, rtol=1e-11)
 
 
+class Ticking(hy.Automaton):
+    """Two clocks that agree at every second tick, and an event that counts and kicks."""
+
+    x = hy.state()
+    v = hy.state()
+    u = hy.state()
+    n: int = hy.discrete(0)
+    each: float = hy.parameter(0.1)
+
+    @hy.mode(initial=True)
+    def swing(self, t, s):
+        return s.v, -s.x - 0.05 * s.v * jnp.minimum(s.n, 3) + s.u, 0.0
+
+    @hy.edge(swing, every="each")
+    def one(self, t, s):
+        return s.replace(u=-0.2 * s.x)
+
+    @hy.edge(swing, every=0.2)
+    def other(self, t, s):
+        return s.replace(v=0.99 * s.v)
+
+    @hy.edge(swing, to=swing, guard=lambda self, t, s: s.x, crossing=hy.RISING)
+    def up(self, t, s):
+        return s.replace(n=s.n + 1, v=s.v + 0.2)
+
+
+@pytest.mark.parametrize("section", ["one", "other", "up", 0.1])
+def test_iterates_are_the_returns_of_one_run(section):
+    """What fires at the instant of a return still fires behind it, what has fired does not again,
+    discrete variables go on, and periods add up to the times of a clock. The steps of both end at
+    every tick, so they differ by rounding."""
+    start, n = {"x": 0.5, "v": 0.0, "u": 0.3, "n": 0}, 40
+    found = hy.return_map(Ticking(), section, **FINE).iterate(start, n)
+    run = hy.simulate(Ticking(), start, (0.0, found.t[-1]), **FINE)
+    if section == 0.1:  # where both tick, the state is that behind both
+        np.testing.assert_array_equal(found.t, 0.1 * np.arange(n + 1))
+        expected = [run(t) for t in found.t[1:].tolist()]
+    else:
+        rows = [jump for jump in run.jumps if jump.edge == section]
+        np.testing.assert_allclose(found.t[1:], [jump.t for jump in rows], rtol=1e-12)
+        expected = [jump.after for jump in rows]
+    for name in ("x", "v", "u", "n"):
+        np.testing.assert_allclose(
+            getattr(found, name)[1:], [getattr(row, name) for row in expected], atol=1e-11
+        )
+
+
+def test_a_state_on_an_event_has_met_it():
+    """As a map from just after a jump to just after the next one: not at once, at no time."""
+    run = hy.simulate(Ticking(), {"x": 0.5, "v": 0.0, "u": 0.3}, (0.0, 20.0), **FINE)
+    first, second = [jump for jump in run.jumps if jump.edge == "up"][:2]
+    back = hy.return_map(Ticking(), "up", **FINE).run(first.after, first.t)
+    assert back.t1 == pytest.approx(second.t, rel=1e-12)
+    assert back.final.v == pytest.approx(second.after.v, rel=1e-10)
+    assert back.final.n == second.after.n == 2
+
+
 def test_what_is_no_return():
     """Unknown sections; a ball that comes to rest; a run that its options end."""
     with pytest.raises(
