@@ -31,7 +31,8 @@ def cut(run: Trajectory, at: Return) -> Trajectory:
             part = part.arc(at.flight)
         segments = part.segments
         last = bisect_right([segment.start for segment in segments], at.tau) - 1
-        shorter = [*segments[:last], segments[last].cut(at.tau - segments[last].start)]
+        rest = at.tau - segments[last].start
+        shorter = [*segments[:last], *([segments[last].cut(rest)] if rest else [])]
         t1, last_state = Instant(part.t0, part.low).after(at.tau).t, part.local(at.tau)
         kept.append(attrs.evolve(part, length=at.tau, t1=t1, last=last_state, segments=shorter))
     t1 = kept[-1].t1

@@ -240,8 +240,10 @@ class ReturnMap:
         return simulate(self.model, start, times, mode=point.mode, **options)
 
     def _land(self, run: Trajectory, start: Any, point: Point) -> Trajectory:
-        """Repeat a run so that it ends on a surface, which is more accurate than dense output."""
-        if not isinstance(self.section, Surface):
+        """Repeat a run so that it ends on a surface, which is more accurate than dense output; not
+        one that ends with a jump."""
+        last = run.parts[-1]
+        if not isinstance(self.section, Surface) or (isinstance(last, Arc) and not last.length):
             return run
         return self._simulate(start, point, run.t1)
 
