@@ -165,6 +165,40 @@ def test_multipliers_of_a_forced_orbit_that_restarts():
     same(orbit.multipliers, np.linalg.eigvals(np.array(columns).T), 7)
 
 
+class Kicked(hy.Automaton):
+    """An oscillator that remembers its speed, and is kicked on where it rises through zero."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def swing(self, t, s, past):
+        return s.v, -s.x - 0.1 * s.v + 0.2 * past(0.7).v
+
+    @hy.edge(swing, to=swing, guard=lambda self, t, s: s.x, crossing=hy.RISING)
+    def kick(self, t, s):
+        return s.replace(v=0.7 * s.v + 0.2)
+
+
+@pytest.mark.parametrize("memory", ["keep", "restart"])
+def test_an_event_is_met_once_a_turn(memory):
+    """In iterates, and in an orbit, whose state after the event lies on its guard. With memory that
+    restarts the map has one dimension, and its slope is a difference."""
+    start, fine = [0.5, 0.2], {"memory": memory, "rtol": 1e-12, "atol": 1e-13}
+    back = hy.return_map(Kicked(), "kick", **fine)
+    found = back.iterate(start, 60)
+    run = hy.simulate(Kicked(), start, (0.0, found.t[8] + 1.0), **fine)
+    np.testing.assert_allclose(found.t[1:9], run.jumps.t, rtol=1e-10)
+    orbit = hy.periodic_orbit(Kicked(), start, section="kick", memory=memory)
+    assert orbit.jumps == 1
+    assert orbit.period == pytest.approx(found.t[-1] - found.t[-2], rel=1e-4)  # 0.87**60
+    assert orbit.run.jumps[0].after.v == pytest.approx(found.v[-1], rel=1e-3)
+    if memory == "restart":
+        v, h = float(orbit.run.jumps[0].after.v), 1e-4
+        slope = (back([0.0, v + h]).v - back([0.0, v - h]).v) / (2 * h)
+        same(orbit.multipliers, [1.0, slope], 7)
+
+
 def test_without_a_jump_nothing_restarts():
     with pytest.raises(hy.OrbitError, match="nothing restarts"):
         hy.periodic_orbit(Wright(), [0.5], period=1.0, memory="restart", settle=1)

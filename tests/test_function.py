@@ -424,6 +424,78 @@ def test_derivatives_through_a_limit_while_something_moves_at_rest():
     np.testing.assert_allclose(by_y, np.zeros(4), atol=1e-9)
 
 
+class Behind(hy.Automaton):
+    """A ball whose floor is where something else was, and is not until something is seen."""
+
+    x = hy.state()
+    v = hy.state()
+    w = hy.state()
+    gain = hy.parameter(0.4)
+
+    @hy.mode
+    def fall(self, t, s, past):
+        return s.v, -9.81, 2.0 * jnp.cos(3.0 * t) - s.w
+
+    hit = hy.contact(
+        fall, gap=lambda self, t, s, past: s.x - self.gain * past(0.3).w, restitution=0.3
+    )
+
+
+class Carried(hy.Automaton):
+    """A ball on a floor, carried by what it saw: its speed is not the rate of its place."""
+
+    x = hy.state()
+    v = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def fall(self, t, s, past):
+        return s.v + 0.4 * past(0.3).w, -9.81, 2.0 * jnp.cos(3.0 * t) - s.w
+
+    hit = hy.contact(fall, gap=lambda self, t, s: s.x, restitution=0.3)
+
+
+class Followed(hy.Automaton):
+    """Friction against what was, a while ago."""
+
+    x = hy.state()
+    v = hy.state()
+    w = hy.state()
+
+    @hy.mode(initial=True)
+    def faster(self, t, s):
+        return s.v, jnp.sin(t) - 1.0, s.x - s.w
+
+    @hy.mode
+    def slower(self, t, s):
+        return s.v, jnp.sin(t) + 3.0, s.x - s.w
+
+    slip = hy.switching(faster, slower, surface=lambda self, t, s, past: s.v - 0.5 * past(0.3).w)
+
+
+@pytest.mark.parametrize(
+    ("model", "start", "known"),
+    [
+        (Behind(), [1.0, 0.0, 0.5], 0.3),  # before the impact; its speed has the rate of the past
+        (Carried(), [1.0, 0.0, 0.5], 0.6),  # behind an impact; the load of the rest has it
+        (Followed(), [0.3, 1.0, 0.3], 0.4),  # before it slides
+    ],
+)
+def test_what_depends_on_how_fast_the_past_changes_has_no_derivative(model, start, known):
+    """Of what is seen the change is carried, not that of its rate. What needs that is not told;
+    what comes before is, against differences that are exact to 1e-8."""
+
+    def final(t1):
+        run = hy.as_function(model, t=(0.0, t1), max_jumps=20, rtol=1e-12, atol=1e-13)
+        return lambda x: jnp.array(list(run(model, list(x)).final))
+
+    start = jnp.array(start)
+    assert np.isnan(np.asarray(jax.jacfwd(final(3.0))(start))).any(axis=1).all()
+    early, h = final(known), 1e-4
+    numeric = [(early(start + h * unit) - early(start - h * unit)) / (2 * h) for unit in np.eye(3)]
+    np.testing.assert_allclose(jax.jacfwd(early)(start), np.array(numeric).T, atol=1e-6)
+
+
 def test_a_run_that_fails_is_a_status():
     """Below the floor, in a compiled program too: a number, and no exception."""
     fall = jax.jit(hy.as_function(BouncingBall(), t=(0.0, 1.0), max_jumps=8))

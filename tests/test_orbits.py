@@ -1,6 +1,7 @@
 """Return maps, the first variation, and periodic orbits."""
 
 import math
+from itertools import pairwise
 
 import jax.numpy as jnp
 import numpy as np
@@ -131,6 +132,63 @@ def test_a_map_through_accumulation_and_rest():
     found = hy.return_map(model, "impact.release").iterate([1.5, 0.0], 4)
     np.testing.assert_allclose(found.x[1:], 9.8 / 3.5**2, rtol=1e-11)  # sin = g / (A w^2)
     np.testing.assert_allclose(np.diff(found.t)[1:], 2 * math.pi / 3.5, rtol=1e-11)
+
+
+class Ticking(hy.Automaton):
+    """Two clocks that agree at every second tick, and an event that counts and kicks."""
+
+    x = hy.state()
+    v = hy.state()
+    u = hy.state()
+    n: int = hy.discrete(0)
+    each: float = hy.parameter(0.1)
+
+    @hy.mode(initial=True)
+    def swing(self, t, s):
+        return s.v, -s.x - 0.05 * s.v * jnp.minimum(s.n, 3) + s.u, 0.0
+
+    @hy.edge(swing, every="each")
+    def one(self, t, s):
+        return s.replace(u=-0.2 * s.x)
+
+    @hy.edge(swing, every=0.2)
+    def other(self, t, s):
+        return s.replace(v=0.99 * s.v)
+
+    @hy.edge(swing, to=swing, guard=lambda self, t, s: s.x, crossing=hy.RISING)
+    def up(self, t, s):
+        return s.replace(n=s.n + 1, v=s.v + 0.2)
+
+
+@pytest.mark.parametrize("section", ["one", "other", "up", 0.1])
+def test_iterates_are_the_returns_of_one_run(section):
+    """What fires at the instant of a return still fires behind it, what has fired does not again,
+    discrete variables go on, and periods add up to the times of a clock. The steps of both end at
+    every tick, so they differ by rounding."""
+    start, n = {"x": 0.5, "v": 0.0, "u": 0.3, "n": 0}, 40
+    found = hy.return_map(Ticking(), section, **FINE).iterate(start, n)
+    run = hy.simulate(Ticking(), start, (0.0, found.t[-1]), **FINE)
+    if section == 0.1:  # where both tick, the state is that behind both
+        np.testing.assert_array_equal(found.t, 0.1 * np.arange(n + 1))
+        expected = [run(t) for t in found.t[1:].tolist()]
+    else:
+        rows = [jump for jump in run.jumps if jump.edge == section]
+        np.testing.assert_allclose(found.t[1:], [jump.t for jump in rows], rtol=1e-12)
+        expected = [jump.after for jump in rows]
+    for name in ("x", "v", "u", "n"):
+        np.testing.assert_allclose(
+            getattr(found, name)[1:], [getattr(row, name) for row in expected], atol=1e-11
+        )
+
+
+def test_a_state_on_an_event_has_met_it():
+    """As a map from just after a jump to just after the next one: not at once, at no time."""
+    run = hy.simulate(Ticking(), {"x": 0.5, "v": 0.0, "u": 0.3}, (0.0, 20.0), **FINE)
+    first, second = [jump for jump in run.jumps if jump.edge == "up"][:2]
+    back = hy.return_map(Ticking(), "up", **FINE).run(first.after, first.t)
+    assert back.t1 == pytest.approx(second.t, rel=1e-12)
+    assert back.final.v == pytest.approx(second.after.v, rel=1e-10)
+    assert back.final.n == second.after.n == 2
 
 
 def test_what_is_no_return():
@@ -311,6 +369,23 @@ def test_a_touch_from_beyond_is_warned_of(unit, inside):
     assert orbit.jumps == 0
 
 
+class Apart(VanDerPol):
+    """Van der Pol's oscillator, with a state that is 0 and stays so beside it."""
+
+    z = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return s.v, (1.0 - s.x**2) * s.v - s.x, -s.z
+
+
+def test_a_state_that_is_zero_and_stays_so_has_an_orbit():
+    """The plane of its first return is across what moves."""
+    orbit = hy.periodic_orbit(Apart(), [2.0, 0.1, 0.0])
+    assert orbit.period == pytest.approx(VAN_DER_POL, rel=1e-11)
+    assert np.sort(np.abs(orbit.multipliers))[1] == pytest.approx(math.exp(-VAN_DER_POL), rel=1e-7)
+
+
 class Dragged(hy.Automaton):
     """A drag by the square of the speed: its formula changes where the body turns."""
 
@@ -438,6 +513,91 @@ def test_a_surface_is_met_in_a_series_of_impacts_too(solver, at):
     flown = hy.simulate(Clocked(), start, (0, run.t1), **solver)
     assert run.final.x == pytest.approx(flown.final.x, abs=1e-7)
     assert len(run.jumps) == len(flown.jumps)
+
+
+class Passing(hy.Automaton):
+    """A forced oscillator with an event on a line through its plane."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def swing(self, t, s):
+        return s.v, -s.x - 0.1 * s.v + jnp.sin(0.7 * t)
+
+    up = hy.edge(swing, to=swing, guard=lambda self, t, s: s.x - 0.1 * s.v, crossing=hy.RISING)
+
+
+class Sticky(hy.Automaton):
+    """Dry friction against what moves along: sliding begins from above, and ends below."""
+
+    x = hy.state()
+    v = hy.state()
+    w = hy.state()
+
+    def force(self, t, s):
+        return 1.3 * jnp.sin(0.7 * t) - s.x
+
+    @hy.mode(initial=True)
+    def faster(self, t, s):
+        return s.v, self.force(t, s) - 1.0, s.x - s.w
+
+    @hy.mode
+    def slower(self, t, s):
+        return s.v, self.force(t, s) + 1.0, s.x - s.w
+
+    slip = hy.switching(faster, slower, surface=lambda self, t, s: s.v - 0.3 * s.w)
+
+
+def met(model, start, surface, crossing, solver):
+    """The times at which a lane meets a surface, up to t = 40; a map must meet it there, too."""
+    asked = {"crossing": crossing, **solver}
+    given = dict(zip(model.spec.names, start, strict=True))
+    lanes = hy.ensemble(model, given | {"x": start[:1]}, (0, 40), section=surface, keep=9, **asked)
+    found = lanes.t_section.values[0, : int(lanes.hits.values[0])]
+    back = hy.return_map(model, surface, t_max=60.0, **asked).iterate(start, len(found))
+    np.testing.assert_allclose(back.t[1:], found, rtol=1e-7)
+    return found
+
+
+def test_a_surface_on_which_a_guard_lies_is_crossed_where_the_run_goes_over_it(solver):
+    """An event on it is a crossing; sliding on it is none, but the end of sliding on its other side
+    is one. The times are those of the jumps, to the tolerances."""
+    line = {"surface": lambda self, t, s: s.x - 0.1 * s.v, "solver": solver}
+    run = hy.simulate(Passing(), [0.5, 0.2], (0, 40), **solver)
+    rising = met(Passing(), [0.5, 0.2], crossing=hy.RISING, **line)
+    np.testing.assert_allclose(rising, run.jumps.t, rtol=1e-7)
+    falling = met(Passing(), [0.5, 0.2], crossing=hy.FALLING, **line)
+    assert np.all(np.diff(np.sort([*rising, *falling])) > 1.0)
+    both = met(Passing(), [0.5, 0.2], crossing=hy.EITHER, **line)
+    np.testing.assert_allclose(both, np.sort([*rising, *falling]), rtol=1e-7)
+
+    slip = {"surface": lambda self, t, s: s.v - 0.3 * s.w, "solver": solver}
+    run = hy.simulate(Sticky(), [0.5, 0.7, 0.1], (0, 40), **solver)
+    slips = [arc for arc in run.arcs if arc.mode in ("faster", "slower") and arc.length]
+    for mode, crossing in (("slower", hy.FALLING), ("faster", hy.RISING)):
+        over = [b.t0 for a, b in pairwise(slips) if a.mode != b.mode and b.mode == mode]
+        assert over
+        found = met(Sticky(), [0.5, 0.7, 0.1], crossing=crossing, **slip)
+        np.testing.assert_allclose(found, over, rtol=1e-7)
+
+
+def test_a_body_does_not_cross_the_floor_from_which_it_bounces(solver):
+    """Nor where it rests on it."""
+    floor = {"section": lambda self, t, s: s.x, "crossing": hy.EITHER}
+    back = hy.return_map(BouncingBall(), t_max=10.0, **floor, **solver)
+    with pytest.raises(hy.OrbitError, match="does not return to the surface"):
+        back([1.0, 0.0])
+    lanes = hy.ensemble(BouncingBall(), {"x": [1.0], "v": 0.0}, (0, 4), keep=9, **floor, **solver)
+    assert lanes.hits.values.tolist() == [0]
+
+
+def test_a_surface_that_jumps_is_met_once_a_turn():
+    """The run of a return ends on either side of the jump, by rounding."""
+    start = {"x": 1.0, "v": 0.0, "angle": 0.0}
+    turns = hy.return_map(Clocked(), lambda self, t, s: jnp.sign(jnp.sin(s.angle - 3.5)))
+    found = turns.iterate(start, 3)
+    np.testing.assert_allclose(found.t[1:], 3.5 + 2 * np.pi * np.arange(3), rtol=1e-11)
 
 
 def test_lanes_meet_a_surface_in_a_series_of_impacts_too():

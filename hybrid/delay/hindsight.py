@@ -148,9 +148,19 @@ class Hindsight:
         without delays."""
         if self.history is None:
             return None
-        pieces = until(self.record(part).pieces, t)
-        needed = -np.inf if any(self.scene.code.moving) else t - self.longest
-        return Before([piece for piece in pieces if piece.end > needed] or pieces[-1:])
+        return Before(self._needed(until(self.record(part).pieces, t), t))
+
+    def _needed(self, pieces: Sequence[Piece], t: float) -> list[Piece]:
+        """The pieces of a record that a run from time ``t`` may see."""
+        since = -np.inf if any(self.scene.code.moving) else t - self.longest
+        return [piece for piece in pieces if piece.end > since] or list(pieces[-1:])
+
+    def forget(self, t: float) -> None:
+        """Forget what a run that continues from time ``t`` does not need: the run before this one,
+        and a history further back than the longest lag."""
+        self.earlier = None
+        if self.history is not None:
+            self.history = self._needed(self.history, t)
 
     def at(self, part: int, t: float, side: str = "right") -> Scene:
         """The scene at time ``t`` in part ``part``; at a breaking point, on the given side."""

@@ -127,7 +127,7 @@ def _of_run(spec: Spec, run: Solution, t0: float, memory: str) -> list[Piece]:
     if run.spec.names != spec.names:
         theirs, own = ", ".join(run.spec.names), ", ".join(spec.names)
         raise OptionError(f"{spec.model}: history: a run with the states {theirs}, not {own}")
-    if not run.t0 < t0 <= run.t1:
+    if not run.t0 <= t0 <= run.t1:
         raise OptionError(
             f"{spec.model}: history: a run from {run.t0!r} to {run.t1!r}; the run that it is the "
             f"history of starts at {t0!r}"

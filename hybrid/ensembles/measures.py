@@ -24,7 +24,7 @@ from ..lowering.scene import parted, rest_name
 from ..rules.guards import TIE
 from ..rules.zeros import EPS
 from ..run.options import require_count
-from ..run.sections import EdgeSection, Period, Section, Surface, section_of
+from ..run.sections import EdgeSection, Period, Section, Sides, Surface, section_of
 from ..trajectory.arcs import Arc, Part, arcs_of
 from ..trajectory.log import Flights, Log
 from ..variation import GROWN_APART, TRANSIENT, Course, factors_of, first_frame, grown, largest
@@ -293,6 +293,7 @@ class MeasuredLane(Log):
         self.middle = 0.5 * (lane.t[0] + lane.t[1])
         self.low, self.high = np.inf + self.size, -np.inf + self.size
         self.scene, self.whole = lane.scene, Log()
+        self.sides = Sides(section, self.t0) if isinstance(section, Surface) else None
         strobes = self._strobes(lane.t[1])
         times = np.empty(0) if asked.times is None else asked.times
         self.due = {"points": strobes, "saved": times}
@@ -437,8 +438,8 @@ class MeasuredLane(Log):
                     self._keep_timed(name, k, _at(part, t), _mode_at(part, t))
             if isinstance(self.section, EdgeSection):
                 self._jumps(part, self.section.name, then)
-            elif isinstance(self.section, Surface):
-                self._crossings(part, self.section)
+            elif self.sides is not None:
+                self._crossings(part, self.sides)
 
     def _measure_sizes(self, part: Part | Flights) -> None:
         """Update bounds on the sizes of the states, and on their ranges in the second half."""
@@ -461,10 +462,10 @@ class MeasuredLane(Log):
         elif isinstance(part, Arc) and row is not None and row.edge == edge:
             self._keep_point(row.t, row.after, behind)
 
-    def _crossings(self, part: Part | Flights, surface: Surface) -> None:
+    def _crossings(self, part: Part | Flights, sides: Sides) -> None:
         """Keep the points at which a part crosses a surface."""
         for arc in part.arcs if isinstance(part, Flights) else arcs_of(part):
-            for tau in surface.crossings(arc, starts=arc.t0 <= self.t0):
+            for tau in sides.crossings(arc):
                 self._keep_point(arc.t0 + (arc.low + tau), arc.local(tau), arc.mode)
 
     def _keep_point(self, t: float, x: StateVector, mode: str) -> None:

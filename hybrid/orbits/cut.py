@@ -1,4 +1,4 @@
-"""Cut a run where it meets a section."""
+"""Cut a run where it meets a section, or behind the event on which it starts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ def cut(run: Trajectory, at: Return) -> Trajectory:
             part = part.arc(at.flight)
         segments = part.segments
         last = bisect_right([segment.start for segment in segments], at.tau) - 1
-        shorter = [*segments[:last], segments[last].cut(at.tau - segments[last].start)]
+        rest = at.tau - segments[last].start
+        shorter = [*segments[:last], *([segments[last].cut(rest)] if rest else [])]
         t1, last_state = Instant(part.t0, part.low).after(at.tau).t, part.local(at.tau)
         kept.append(attrs.evolve(part, length=at.tau, t1=t1, last=last_state, segments=shorter))
     t1 = kept[-1].t1
@@ -40,3 +41,24 @@ def cut(run: Trajectory, at: Return) -> Trajectory:
     return attrs.evolve(
         run, log=Log(kept, jumps), zeno=zeno, grazings=grazings, status=Status.REACHED_END
     )
+
+
+def behind(run: Trajectory, edge: str) -> Trajectory | None:
+    """The run of no length that ends with the event ``edge``, for a run that starts on its guard;
+    None for any other run.
+
+    A state just after an event lies on its guard, and a run from there meets the event again. One
+    that continues the run returned does not. Its state is the one given: the event is over.
+    """
+    first, row = run.parts[0], run.own_jumps.get(0)
+    if row is None or row.edge != edge or not isinstance(first, Arc) or first.length:
+        return None
+    field = run.hindsight.at(0, run.t0).field(first.mode)
+    if not any(guard.edge == edge and not guard.bounds for guard in field.guards):
+        return None
+    found = cut(run, Return(0, 0.0))
+    last = found.parts[1]
+    assert isinstance(last, Arc)
+    last = attrs.evolve(last, first=row.before, last=row.before)
+    log = Log([first, last], {0: attrs.evolve(row, after=row.before)})
+    return attrs.evolve(found, log=log)

@@ -14,9 +14,10 @@ import numpy as np
 from ..errors import OrbitError
 from ..result import Trajectory
 from ..run.sections import Return
+from ..simulation import simulate
 from ..trajectory.arcs import Arc
 from ..variation import Strand
-from .cut import cut
+from .cut import behind, cut
 from .delayed import carried
 from .shooting import EQUILIBRIUM_MOVE, Description, Guess, Shooting, Shot
 
@@ -49,6 +50,15 @@ class RestartShooting(Shooting):
             )
         index = max(chosen, key=lambda i: run.parts[i + 1].t1 - run.parts[i + 1].t0)
         return self._landed(run, index, guess.period)
+
+    def fly(self, guess: Guess, length: float) -> Trajectory:
+        """The run of a given length from a guess; from just behind an event, it does not meet that
+        again."""
+        run = super().fly(guess, length)
+        event = behind(run, guess.edge) if isinstance(guess, Landed) else None
+        if event is None:
+            return run
+        return simulate(self.model, event, (run.t0, run.t1), **self.options)
 
     def _landed(self, run: Trajectory, index: int, period: float) -> Landed:
         row, mode = run.own_jumps[index], run.parts[index + 1].mode

@@ -22,7 +22,7 @@ from ..simulation import simulate
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Status
 from ..variation.carried import WINDOW_SPACINGS
-from .cut import cut
+from .cut import behind, cut
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -38,12 +38,14 @@ MARGIN = 1.25
 
 @attrs.frozen(eq=False)
 class Point:
-    """A point of a return map: time, state, mode, and the history of a model with delays."""
+    """A point of a return map: time, state, mode, and the history of a model with delays; for a
+    return, the run that ended there."""
 
     t: float
     state: Any
     mode: str | None
     history: Any = None
+    run: Trajectory | None = None
 
 
 class Iterates(Sequence[Record]):
@@ -148,14 +150,27 @@ class ReturnMap:
         return Iterates(self.scene.spec, points)
 
     def _points(self, point: Point, n: int) -> Iterator[Point]:
+        first = point.t
         for made in range(n):
-            run = self._from(point)
+            run = self._from(point, self._due(first, made + 1))
             if made:
                 self._require_flown(run)
-            last = run.mode
-            history = run.hindsight.before(len(run.parts) - 1, run.t1)
-            point = Point(run.t1, run.parts[-1].last, last, history)
+            point = self._returning(run)
             yield point
+
+    def _due(self, t: float, turns: int) -> float | None:
+        """The time a number of periods after ``t``, as a product, which is that of a clock of this
+        period to the last bit; None if the section is no period."""
+        return t + turns * self.section.period if isinstance(self.section, Period) else None
+
+    def _returning(self, run: Trajectory) -> Point:
+        """The point at the end of a run. The next run continues this one: it must know what fires
+        at the same instant still, and what has fired."""
+        state = run.parts[-1].last
+        if isinstance(self.section, EdgeSection) and _ends(self.scene.spec, self.section.name):
+            return Point(run.t1, state, self.mode)
+        run.hindsight.forget(run.t1)
+        return Point(run.t1, state, run.mode, run=run)
 
     def _require_flown(self, run: Trajectory) -> None:
         """Refuse to go on from an impact that leaves a speed which drowns in the rounding of the
@@ -175,12 +190,17 @@ class ReturnMap:
             return state
         return start_of(self.scene.spec, state)
 
-    def _from(self, point: Point) -> Trajectory:
+    def _from(self, point: Point, due: float | None = None) -> Trajectory:
         start = self.scene.spec.record(self._vector(point.state))
         if isinstance(self.section, Period):
-            run = self._simulate(start, point, self.section.period)
-            return self._returned(run, self.section.period)
+            until = point.t + self.section.period if due is None else due
+            return self._returned(self._simulate(start, point, until), self.section.period)
         run, (found,) = self._flown(start, point, 1)
+        if point.run is None and isinstance(self.section, EdgeSection):
+            event = behind(run, self.section.name)
+            if event is not None:
+                point = attrs.evolve(point, run=event)
+                run, (found,) = self._flown(start, point, 1)
         run = self._land(cut(run, found), start, point)
         self._took = run.t1 - run.t0
         return run
@@ -192,7 +212,7 @@ class ReturnMap:
         window = MARGIN * self._took if self._took else FIRST_WINDOW * self.t_max
         while True:
             window = min(max(window, WINDOW_SPACINGS * float(np.spacing(abs(point.t)))), self.t_max)
-            run = self._simulate(start, point, window)
+            run = self._simulate(start, point, point.t + window)
             found = list(islice(self.section.returns(run), count))
             if len(found) == count:
                 return run, found
@@ -211,16 +231,21 @@ class ReturnMap:
         run = cut(run, second)
         return run, run.t1 - begun
 
-    def _simulate(self, start: Any, point: Point, length: float) -> Trajectory:
-        times = (point.t, point.t + length)
+    def _simulate(self, start: Any, point: Point, until: float) -> Trajectory:
+        times = (point.t, until)
+        if point.run is not None:
+            options = {**self.options, "history": None}
+            return simulate(self.model, point.run, times, **options)
         options = {**self.options, "history": point.history}
         return simulate(self.model, start, times, mode=point.mode, **options)
 
     def _land(self, run: Trajectory, start: Any, point: Point) -> Trajectory:
-        """Repeat a run so that it ends on a surface, which is more accurate than dense output."""
-        if not isinstance(self.section, Surface):
+        """Repeat a run so that it ends on a surface, which is more accurate than dense output; not
+        one that ends with a jump."""
+        last = run.parts[-1]
+        if not isinstance(self.section, Surface) or (isinstance(last, Arc) and not last.length):
             return run
-        return self._simulate(start, point, run.t1 - run.t0)
+        return self._simulate(start, point, run.t1)
 
     def _returned(self, run: Trajectory, period: float | None) -> Trajectory:
         """The run, if it lasted a given period; else raise an error that says why it did not."""
@@ -291,6 +316,11 @@ def return_map(
     if options["save"] != "dense":
         raise OptionError(f"save={options['save']!r}: a return is found on dense output")
     return ReturnMap(model, section, mode, t_max, crossing, options)
+
+
+def _ends(spec: Any, edge: str) -> bool:
+    """Whether an edge ends the run."""
+    return any(e.to == TERMINATE for e in spec.transitions if e.name == edge)
 
 
 def _mode_after(spec: Any, edge: str) -> str | None:

@@ -178,8 +178,8 @@ def _plane(shooting: Shooting, guess: Guess, mode: str) -> Any:
             f"{scene.spec.model}: the guess {scene.spec.record(guess.x)} is an equilibrium; "
             "give another, or a section"
         )
-    sizes = np.abs(flow) + np.abs(guess.x) + 1e-300
-    normal = flow / sizes**2
+    sizes = np.abs(flow) + np.abs(guess.x)
+    normal = np.divide(flow, sizes**2, out=np.zeros_like(flow), where=flow != 0.0)
 
     def plane(self: Any, t: Any, s: Any) -> Any:
         import jax.numpy as jnp

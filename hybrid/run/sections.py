@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -15,15 +15,21 @@ from ..automaton.refusals import reason
 from ..automaton.spec import Spec
 from ..automaton.trace import caller, scalar, trace
 from ..errors import OptionError
-from ..events import fires, zeros
+from ..events import Zero, fires, zeros
 from ..lowering import Guard, Kind, Scene
 from ..lowering.derivatives import node_shape
 from ..lowering.field import Scalar
 from ..lowering.jaxpr import require_written
+from ..rules.guards import GUARD_ROUNDING
+from ..rules.zeros import EPS
 from ..trajectory.arcs import Arc, arcs_of
 from ..trajectory.trajectory import Solution
 
-#: A surface on which a run starts is zero there, relative to the terms that it is made of.
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
+
+#: A surface on which a run starts is zero there, relative to the terms that it is made of; and its
+#: zeros are known to this share of a step, and the states of an arc that rests or slides to this.
 STARTS = 1e-8
 
 
@@ -79,22 +85,84 @@ class Surface:
 
     def returns(self, run: Solution) -> Iterator[Return]:
         """The crossings after the start, those in flights of a summed series of impacts too."""
+        sides = Sides(self, run.t0)
         for index, part in enumerate(run.parts):
             for flight, arc in enumerate(arcs_of(part)):
-                for tau in self.crossings(arc, starts=arc.t0 <= run.t0):
+                for tau in sides.crossings(arc):
                     yield Return(index, tau, flight)
 
-    def crossings(self, arc: Arc, starts: bool) -> Iterator[float]:
-        """The local times of an arc; ``starts``: on the section, it may start there."""
-        size = STARTS * self.size(arc.t0, arc.first.tolist())
-        here = self.guard.value(arc.t0, arc.first.tolist())
-        order, ends = int(starts and abs(here) <= size), dict[Any, float]()
+
+@attrs.define(eq=False)
+class Sides:
+    """The crossings of a surface along the arcs of a run, asked for in their order.
+
+    Where an arc begins or ends on the surface, as at a guard that is the same function, rounding
+    decides nothing: the surface is crossed if the run leaves it to the other side than that from
+    which it came. While the run stays on it, as while it slides there, it crosses nothing.
+
+    Attributes
+    ----------
+    surface : Surface
+    t0 : float
+        Where the run starts. A start on the surface is no crossing.
+    came : int
+        The side from which the last arc came to the surface on which it ends; 0 if on none.
+    """
+
+    surface: Surface
+    t0: float
+    came: int = 0
+
+    def crossings(self, arc: Arc) -> Iterator[float]:
+        """The local times of an arc at which it crosses the surface."""
+        if not arc.segments:
+            return
+        value, crossing = self.surface.guard.value, self.surface.guard.crossing
+        t, starts, points = arc.t0 + arc.low, arc.t0 <= self.t0, list(_points(arc))
+        size = max(self.surface.size(t + tau, x.tolist()) for tau, x in points)
+        noise = (STARTS if arc.constrained else GUARD_ROUNDING * EPS) * size
+        values = [(tau, value(t + tau, x.tolist())) for tau, x in points]
+
+        def stays(since: float, until: float) -> bool:
+            middle = 0.5 * (since + until)
+            between = [value(t + middle, arc.local(middle).tolist())]
+            between += [each for tau, each in values if since < tau < until]
+            return max(map(abs, between)) <= noise
+
+        here, there = value(arc.t0, arc.first.tolist()), value(arc.t1, arc.last.tolist())
+        begins = abs(here) <= max(noise, STARTS * size * starts)
+        ends = abs(there) <= noise
+        found = list(self._zeros(arc, begins, noise))
+        if begins or starts:
+            since = STARTS * arc.segments[0].length
+            found = [zero for zero in found if zero.tau > since and not stays(0.0, zero.tau)]
+        if ends:
+            until = arc.length - STARTS * arc.segments[-1].length
+            found = [zero for zero in found if zero.tau < until and not stays(zero.tau, arc.length)]
+        farthest = max((each for _, each in values), key=abs)
+        side = int(np.sign(farthest)) if abs(farthest) > noise else 0
+        turns = [zero.direction for zero in found if zero.direction]
+        leaves = -turns[0] if turns else side
+        if begins and leaves and self.came == -leaves and fires(crossing, leaves):
+            yield 0.0
+        yield from (zero.tau for zero in found if fires(crossing, zero.direction))
+        self.came = (turns[-1] if turns else side or self.came) if ends else 0
+
+    def _zeros(self, arc: Arc, begins: bool, noise: float) -> Iterator[Zero]:
+        """The zeros of the function along an arc; ``begins``: on the surface."""
+        guard, t, ends = self.surface.guard, arc.t0 + arc.low, dict[Any, float]()
+        order, noise = int(begins), noise * begins
         for segment in arc.segments:
-            scale, t = float("inf"), arc.t0 + arc.low
-            for zero in zeros(self.guard, segment, t, order, scale, 0.0, ends):
-                if fires(self.guard.crossing, zero.direction):
-                    yield zero.tau
+            yield from zeros(guard, segment, t, order, np.inf, 0.0, ends, noise)
             order = 0
+
+
+def _points(arc: Arc) -> Iterator[tuple[float, StateVector]]:
+    """Local times and states at the ends and in the middle of each step of an arc."""
+    shares = np.array([0.0, 0.5, 1.0])
+    for segment in arc.segments:
+        taus = segment.start + segment.length * shares
+        yield from zip(taus.tolist(), segment.at(shares), strict=True)
 
 
 Section = Period | EdgeSection | Surface

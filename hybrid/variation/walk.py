@@ -52,6 +52,11 @@ TIES = (
     "first variation"
 )
 
+SEES_RATES = (
+    "depends on the past, and what follows on how fast that changes: there the first variation is "
+    "not known"
+)
+
 #: Kinds of jumps at which state and flow are continuous, unless the jump erases the past.
 SMOOTH_KINDS = (Kind.RELEASE, Kind.LEAVE)
 
@@ -284,6 +289,7 @@ class Walk:
     def arc(self, index: int, arc: Arc) -> Iterator[Factor | DelayedArc]:
         """The factors of an arc; with delays, the arc as one piece."""
         if self.course.sight:
+            self._require_values(arc)
             yield DelayedArc(index, arc)
             return
         t = arc.t0 + arc.low
@@ -291,6 +297,32 @@ class Walk:
             scene, of = self.look(index, t + segments[0].start + 0.5 * segments[0].length)
             for end, matrix in along(of, scene.field(arc.mode), t, segments, self.apart):
                 yield Factor(t + end, None, matrix, smooth=True)
+
+    def _require_values(self, arc: Arc) -> None:
+        """Refuse an arc at rest or sliding whose flow depends on how fast the past changes: only
+        the variation of what is seen is carried, not that of its rate."""
+        switching = self.scene.spec.sliding(arc.mode)
+        found = [name for name in self.scene.field(arc.mode).held if self._sees_rates(name)]
+        if switching is not None and any(self._asked("surface", switching.name)):
+            found.append(switching.name)
+        if found:
+            raise OrbitError(f"{self.model}, t = {arc.t0!r}: {found[0]} {SEES_RATES}")
+
+    def _sees_rates(self, contact: str) -> bool:
+        """Whether the acceleration of a contact's gap depends on how fast the past changes: where
+        the gap looks back, or the rate of a position that it is made of."""
+        mode = self.scene.contact(contact).mode
+        places = self.scene.code.mode(mode).contact(contact).pairing.positions
+        rates = self._asked("flow", mode)
+        return any(self._asked("gap", contact)) or any(rates[i] for i in places)
+
+    def _asked(self, kind: str, name: str) -> list[set[tuple[int, int]]]:
+        """What each element of a function's result reads from the past."""
+        code = self.scene.code
+        found: list[set[tuple[int, int]]] = code.once(
+            ("asked", kind, name), lambda: code.asked(code.closed(kind, name))
+        )
+        return found
 
     def _by_piece(self, t: float, segments: Sequence[Segment]) -> Iterator[Sequence[Segment]]:
         """The steps of an arc that begins at ``t``, grouped by the pieces of the signals."""
@@ -350,6 +382,8 @@ class Walk:
         """The factor of one jump or of simultaneous jumps; ``after`` is the part that follows."""
         index, first = group[0]
         field, guard = self.fired(index, first)
+        for place, row in group:
+            self._require_seen(place, row)
         piece, before = self.piece(index, True), self._flow(index, True)
         waits = self._waits(index, guard, first)
         jumped = piece if piece is not None and self._jumps(index, guard, field, piece) else None
@@ -374,6 +408,13 @@ class Walk:
         return Factor(
             first.t, " ".join(row.edge for _, row in group), reset, moments, ties, waits, index
         )
+
+    def _require_seen(self, place: int, row: JumpRow) -> None:
+        """Refuse an impact whose gap looks back: its speed depends on how fast the past changes."""
+        if self.course.sight is None or self.fired(place, row)[1].kind is not Kind.CONTACT:
+            return
+        if any(self._asked("gap", row.edge)):
+            raise OrbitError(f"{self.model}, t = {row.t!r}: {row.edge} {SEES_RATES}")
 
     def _on_knot(self, index: int, guard: Guard, row: JumpRow, count: int) -> bool:
         """Whether a knot of a signal releases a contact, at a time that is the same for all
