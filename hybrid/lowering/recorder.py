@@ -267,7 +267,7 @@ class _Recorder:
             if op not in ("const", "input", "part", "real", "table"):
                 self._record(number)
         kinks = [
-            (self.place[self._root(w)], w.switches, w.code, self.place[w.node])
+            (self.place[self._root(w)], w.switches, w.code, self.place[w.node], self._part(w.node))
             for w in self.watched
         ]
         output = [*map(self._row, self.functions)]
@@ -279,13 +279,19 @@ class _Recorder:
             flow=ints([self.place[i] for i in self.flow]),
             output=ints(output),
             affine=ints([degree(self.graph, number) <= 1 for number in self.functions]),
-            kinks=table(kinks, 4),
+            kinks=table(kinks, 5),
             watched=tuple(self.watched),
             steady=table(self.steady, 6),
             numbers=np.array(self.numbers),
             given=table(self.given, 2).T,
             room=self.room + 4 * self.size + len(kinks),
         )
+
+    def _part(self, number: int) -> int:
+        """The row of a part of a sum or difference, to whose rounding it is known; else its own."""
+        op, *parts = self.graph.nodes[number]
+        rows = [self.place[part] for part in parts] if op in ("add", "sub") else []
+        return max(rows, default=-1) if max(rows, default=-1) >= 0 else self.place[number]
 
     def _row(self, number: int) -> int:
         """The row of a requested function; a constant one is copied to a row."""

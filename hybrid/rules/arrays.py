@@ -27,7 +27,8 @@ class Programs(NamedTuple):
         What does not move.
     kinks : Table
         What is watched: its row; 1 where another formula holds beyond a zero of it, else 0; its
-        kind; and the row of the function that it was made of (:mod:`.kinks`).
+        kind; the row of the function that it was made of, and that of a part of this
+        (:mod:`.kinks`).
     bands : Matrix
         Between which values of its argument what is watched is more than rounding.
     output : Ints

@@ -11,7 +11,17 @@ import math
 
 from .arrays import Floats, Ints, Matrix, Programs
 from .jets import FLOW, KINKS, jets
-from .kinks import BAND, KINK_KIND, KINK_ROW, POINT, STEP_KINK, WHOLE_ROW, count, states
+from .kinks import (
+    BAND,
+    KINK_KIND,
+    KINK_ROW,
+    PART_ROW,
+    POINT,
+    STEP_KINK,
+    WHOLE_ROW,
+    count,
+    states,
+)
 from .lengths import behind
 from .polynomials import power_size, power_value, two_values
 from .zeros import EPS
@@ -315,7 +325,8 @@ def _decides(p: Programs, program: int, s: float, c: Matrix, aside: Matrix) -> b
         series = c[p.kinks[j, KINK_ROW]]
         value, other = aside[p.kinks[j, WHOLE_ROW], 1], aside[p.kinks[j, WHOLE_ROW], 0]
         off = abs(value - power_value(series, 0, order, s)[0])
-        size = power_size(series, 0, order, s)
+        size, part = power_size(series, 0, order, s), abs(aside[p.kinks[j, PART_ROW], 0])
+        size = size + part if part < math.inf else size
         if p.kinks[j, KINK_KIND] == BAND:
             size = max(size, 1.0)
         if p.kinks[j, KINK_KIND] == STEP_KINK:

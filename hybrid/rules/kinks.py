@@ -36,8 +36,8 @@ SIDE_BLUR = 32.0 * EPS
 
 #: Columns of the table of kinks: the watched row; whether the formula changes at its zero; its
 #: kind; the row of the function itself, from which for a step function the nearest whole number is
-#: subtracted.
-KINK_ROW, SWITCHES, KINK_KIND, WHOLE_ROW = 0, 1, 2, 3
+#: subtracted; and the row of a part of it, to whose rounding it is known.
+KINK_ROW, SWITCHES, KINK_KIND, WHOLE_ROW, PART_ROW = 0, 1, 2, 3, 4
 
 #: Status codes: there are no series, or they are not finite.
 NO_SERIES, NOT_FINITE = -1, -2
