@@ -67,6 +67,11 @@ class _StepPart:
         return _StepPart(self.middle - half, half, left), _StepPart(self.middle + half, half, right)
 
 
+#: Bits of the bounds of a step. A state that leaves a kink by an acceleration is beyond it by the
+#: square of the time, which for a rounding of the time is 106 bits below the state.
+FINE = 160
+
+
 class Defect:
     """Bounds on the defect of steps in a field; made once per class and mode."""
 
@@ -101,13 +106,12 @@ class Defect:
         lost : float or array
             Tolerated error of each state element from the step.
         """
-        from .interval import PRECISION
         from .series import with_terms
 
         allowed = _allowed(field, t, length, coefficients, lost)
         blurred = 64 * EPS * max(length, abs(t)) / length
         reach = lambda: self._reach(field, t, length, coefficients, *allowed, blurred)  # noqa: E731
-        share = float(with_terms(reach, 160))
+        share = float(with_terms(reach, FINE))
         return 1.0 if 1.0 - share <= blurred else share
 
     def left_open(self, field: Field, t: float, x: StateVector, off: StateVector) -> StateVector:
@@ -163,7 +167,9 @@ class Defect:
             piece = pieces.pop()
             bound, least = self._bound(field, piece)
             small = bound <= np.maximum(rates, speck / (2.0 * float(piece.half)))
-            begins, ends = (float(piece.middle - start) + sign * float(piece.half) for sign in (-1, 1))
+            begins, ends = (
+                float(piece.middle - start) + sign * float(piece.half) for sign in (-1, 1)
+            )
             at_end = min(ends, length - begins) <= blurred * length
             if not (at_end or np.all(small)):
                 if np.any(least > rates) and float(piece.half) < 1e-3 * length:

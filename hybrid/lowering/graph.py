@@ -170,7 +170,6 @@ class Graph:
                     return self._simplify(("ge" if inner == "max" else "le", a, other))
         return _identity(op, arguments, values, self.exact) or key
 
-
     def _same(self, test: int, yes: int, no: int) -> bool:
         """Whether a choice is its second case either way: ``0 if a == 0 else a``, and ``nan if
         a != a else a``."""

@@ -86,9 +86,7 @@ def step(
     crossed = -1
     for _ in range(2 * count(p, program) + 1):
         status = expanded(p, program, t, x, sides, c, work)
-        if status == 0 and forgotten(
-            p, program, t, tau, x, crossed, sides, c, aside, work
-        ):
+        if status == 0 and forgotten(p, program, t, tau, x, crossed, sides, c, aside, work):
             status = expanded(p, program, t, x, sides, c, work)
         if status == 0:
             status, h, crossed = _length(

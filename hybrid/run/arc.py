@@ -591,8 +591,8 @@ class ArcFlow:
             return []
         start, x = stepper.tau, stepper.x
         if self.field.project is not None:
-            late = fired.cut is not None and fired.cut.before < 0.0
-            before = _before(fired.cut, segment) if late else start
+            cut = fired.cut
+            before = start if cut is None or cut.before >= 0.0 else _before(cut, segment)
             x = np.array(self.field.project(self.now.t + before, x.tolist()))
         flow = np.array(self.field.rhs(self.now.t + start, x.tolist()))
         shift, spacing = 0.0, float(np.spacing(abs(self.now.t) + start))
