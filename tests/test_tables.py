@@ -90,6 +90,23 @@ def test_flows_from_random_tables_are_those_of_steps_from_knot_to_knot(seed):
     np.testing.assert_allclose([*run.final], [*other.final], rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("way", ["DOP853", "RK45", "Dopri8"])
+def test_a_body_leaves_a_knot_at_rest(way):
+    """It is beyond the knot by the square of the time alone, which a straight line never is."""
+
+    class Falls(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+
+        @hy.mode
+        def only(self, t, s):
+            return s.v, -G + jnp.interp(s.x, jnp.array([0.0, 1.0, 2.0]), jnp.array([0.0, 1.0, 1.5]))
+
+    run = hy.simulate(Falls(), {"x": 1.0, "v": 0.0}, (0.0, 0.4), **SOLVERS[way])
+    # below the knot the force is x - G
+    np.testing.assert_allclose(run.final.x, G + (1.0 - G) * np.cosh(0.4), rtol=0, atol=1e-7)
+
+
 #: Corners of a floor, a second apart, and its slopes between them.
 SLOPES = np.array([0.0, 0.5, 0.2, 0.2, -0.3, 0.1, -0.4, 0.0])
 

@@ -135,8 +135,10 @@ class KinkedStepper(Stepper):
                 self.passes = 0
                 return
             self.tau, self.x = before
-            self.seen, ahead = self.seen or own.length, max(cut.before, 0.0) * own.length
-            if ahead > max(STRAIGHT * self.seen, self._speck(cut.kink)):
+            inside = cut.before > 0.0
+            self.seen = self.seen or own.length
+            ahead = (cut.before if inside else cut.after) * own.length
+            if inside and ahead > max(STRAIGHT * self.seen, self._speck(cut.kink)):
                 self._begin(self.tau + (1.0 - short) * ahead)
                 short = min(SHORTER * short, 0.9)
             else:
@@ -216,9 +218,12 @@ class KinkedStepper(Stepper):
 
     def _pass(self, cut: Cut, ahead: float) -> None:
         """Go straight on until a deciding function has the sign beyond a kink, for some time: a
-        step from the same place would meet the same kink."""
+        step from the same place would meet the same kink. The direction is that of half the way,
+        as a flow may leave a kink at rest."""
         t, x = self.t0 + self.tau, self.x
         flow = np.array(self.field.rhs(t, x.tolist()))
+        half = 0.5 * ahead
+        flow = np.array(self.field.rhs(t + half, (x + half * flow).tolist()))
         more = float(np.spacing(abs(t) + ahead))
         ahead = max(ahead, more)
         for _ in range(MOVES):
