@@ -69,7 +69,7 @@ class _StepPart:
 
 #: Bits of the bounds of a step. A state that leaves a kink by an acceleration is beyond it by the
 #: square of the time, which for a rounding of the time is 106 bits below the state.
-FINE = 160
+STEP_PRECISION = 160
 
 
 class Defect:
@@ -111,7 +111,7 @@ class Defect:
         allowed = _allowed(field, t, length, coefficients, lost)
         blurred = 64 * EPS * max(length, abs(t)) / length
         reach = lambda: self._reach(field, t, length, coefficients, *allowed, blurred)  # noqa: E731
-        share = float(with_terms(reach, FINE))
+        share = float(with_terms(reach, STEP_PRECISION))
         return 1.0 if 1.0 - share <= blurred else share
 
     def left_open(self, field: Field, t: float, x: StateVector, off: StateVector) -> StateVector:
