@@ -73,22 +73,7 @@ class Entries(tuple[Any, ...]):
             return x - knots[0] if knots else math.nan
         i = min(max(bisect_right(knots, x) - 1, 0), len(knots) - 2)
         share = (x - knots[i]) / (knots[i + 1] - knots[i])
-        return _half_wave(i, max(min(share, 1.0 - share), -0.5))
-
-
-def wave(x: float, table: Entries | None = None) -> float:
-    """A function of ``x`` that is zero at the whole numbers, or at the knots of a table, exactly,
-    and changes sign at each: ``sin(pi x)`` but for rounding."""
-    if table is not None:
-        return table.wave(x)
-    if not math.isfinite(x):
-        return math.nan
-    whole = round(x)
-    return _half_wave(whole, x - whole)
-
-
-def _half_wave(whole: int, share: float) -> float:
-    return math.sin(math.pi * share) * (1 - 2 * (whole % 2))
+        return math.sin(math.pi * max(min(share, 1.0 - share), -0.5)) * (1 - 2 * (i % 2))
 
 
 def entry(table: Sequence[Any], place: Any) -> Any:
@@ -151,7 +136,7 @@ LONG: dict[str, Callable[..., Any]] = {
     "table": lambda *entries: Entries(entries),
     "pick": entry,
     "knot": entry,
-    "wave": wave,
+    "wave": lambda x, table: table.wave(x),
 }
 
 #: The same operations on numpy scalars, which give NaN or infinity where Python would raise.

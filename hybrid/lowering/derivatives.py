@@ -7,7 +7,6 @@ at a tie is split evenly.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 
 from ..errors import TraceError
@@ -33,10 +32,6 @@ FLAT = WHOLE_VALUED | {
 def _ratio(g: Graph, a: int, b: int) -> list[int]:
     y = g.node("div", a, b)
     return [g.node("div", g.const(1.0), b), g.node("neg", g.node("div", y, b))]
-
-
-def _half_turns(g: Graph, a: int) -> int:
-    return g.node("mul", g.const(math.pi), a)
 
 
 def _extreme(first: str, second: str) -> Callable[..., list[int]]:
@@ -88,7 +83,6 @@ LOCAL_SLOPES: dict[str, Callable[..., list[int]]] = {
     "div": _ratio,
     "sin": lambda g, a: [g.node("cos", a)],
     "cos": lambda g, a: [g.node("neg", g.node("sin", a))],
-    "wave": lambda g, a: [g.node("mul", g.const(math.pi), g.node("cos", _half_turns(g, a)))],
     "sinh": lambda g, a: [g.node("cosh", a)],
     "cosh": lambda g, a: [g.node("sinh", a)],
     "sqrt": lambda g, a: [g.node("div", g.const(0.5), g.node("sqrt", a))],

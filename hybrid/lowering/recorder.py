@@ -118,7 +118,6 @@ MADE_OF_OTHERS: dict[str, Callable[..., int]] = {
     "round": _round,
     "rem": lambda g, a, b: g.node("sub", a, g.node("mul", b, _trunc(g, g.node("div", a, b)))),
     "real": lambda g, a: a,
-    "wave": lambda g, a: g.node("sin", g.node("mul", g.const(math.pi), a)),
 }
 
 

@@ -75,8 +75,8 @@ def decider_of(graph: Graph, op: str, arguments: list[int]) -> int:
         return graph.node("sub", a, rest[0])
     if op in ("floor", "ceil", "trunc", "round", "away", "rem"):
         turns = graph.node("div", a, rest[0]) if rest else a
-        half = graph.const(0.5 if op in ("round", "away") else 0.0)
-        return graph.node("wave", graph.node("sub", turns, half))
+        wave = "cos" if op in ("round", "away") else "sin"
+        return graph.node(wave, graph.node("mul", graph.const(math.pi), turns))
     if op in ("log1p", "acosh"):
         return graph.node("add" if op == "log1p" else "sub", a, graph.const(1.0))
     if op in ("asin", "acos", "atanh"):
