@@ -91,7 +91,8 @@ class Spiral(hy.Automaton):
 @pytest.mark.parametrize("friction", [0.3, 0.5, 0.7])
 def test_steps_as_short_as_the_spacing_of_the_time_end_in_an_error(friction):
     """Where the state changes no more, but in its sign."""
-    with pytest.raises(hy.FlowError, match=r"Spiral, mode moves, t = .*(ever shorter|became zero)"):
+    told = r"Spiral, mode moves, t = .*(ever shorter|became zero|steps the last are of)"
+    with pytest.raises(hy.FlowError, match=told):
         hy.simulate(Spiral(friction=friction), {"x": 1.0, "v": 0.0}, (0.0, 30.0), solver="taylor")
 
 

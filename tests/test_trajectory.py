@@ -177,8 +177,9 @@ def test_a_run_of_so_many_jumps_ends_behind_the_last(solver):
     assert ball.final == ball.jumps[-1].after
     assert ball.final.v > 0.0
     lane = hy.ensemble(BouncingBall(), {"x": [1.0], "v": 0.0}, (0, 9), **options)
-    # a lane by SciPy's tables sums its stages in another order: some roundings in each of four arcs
-    close = 0.0 if solver == "taylor" else 1e-14
+    # a lane by SciPy's tables sums its stages in another order: in each of four arcs some roundings
+    # of each of twelve stages, others on other processors
+    close = 0.0 if solver == "taylor" else 4e-14
     found, due = [lane.t.item(), lane.v.item()], [ball.t1, float(ball.final.v)]
     assert found == pytest.approx(due, rel=close, abs=0.0)
     assert lane.x.item() == pytest.approx(float(ball.final.x), rel=0.0, abs=close)
