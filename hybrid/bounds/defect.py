@@ -166,13 +166,11 @@ class Defect:
         for _ in range(DEFECT_PIECES):
             piece = pieces.pop()
             bound, least = self._bound(field, piece)
-            small = bound <= np.maximum(rates, speck / (2.0 * float(piece.half)))
-            begins, ends = (
-                float(piece.middle - start) + sign * float(piece.half) for sign in (-1, 1)
-            )
-            at_end = min(ends, length - begins) <= blurred * length
+            inside, half = float(piece.middle - start), float(piece.half)
+            small = bound <= np.maximum(rates, speck / (2.0 * half))
+            at_end = min(inside, length - inside) + half <= blurred * length
             if not (at_end or np.all(small)):
-                if np.any(least > rates) and float(piece.half) < 1e-3 * length:
+                if np.any(least > rates) and half < 1e-3 * length:
                     return _share(piece, start, length)
                 pieces += piece.halves()[::-1]
             elif not pieces:

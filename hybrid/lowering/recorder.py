@@ -290,7 +290,7 @@ class _Recorder:
         """The row of a part of a sum or difference, to whose rounding it is known; else its own."""
         op, *parts = self.graph.nodes[number]
         rows = [self.place[part] for part in parts] if op in ("add", "sub") else []
-        return max(rows, default=-1) if max(rows, default=-1) >= 0 else self.place[number]
+        return next((row for row in rows if row >= 0), self.place[number])
 
     def _row(self, number: int) -> int:
         """The row of a requested function; a constant one is copied to a row."""

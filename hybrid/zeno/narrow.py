@@ -446,9 +446,8 @@ class _Gap:
         flown = [(t, x) for t, x, _ in Stretch(tail).points]
         last, *others = (_signs(self.deciding, tail, *point) for point in [_limit(tail), *flown])
         ways = np.min(others, axis=0) + np.max(others, axis=0)  # +-1 if no two signs are opposite
-        at_zero = [
-            (n, way) for n, end, way in zip(self.choosers, last, ways, strict=True) if end == 0
-        ]
+        columns = zip(self.choosers, last, ways, strict=True)
+        at_zero = [(n, way) for n, end, way in columns if end == 0.0]
         known = {n: int(way) for n, way in at_zero if abs(way) == 1.0}
         return known, [n for n, way in at_zero if abs(way) != 1.0]
 
