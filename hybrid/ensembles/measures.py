@@ -284,7 +284,7 @@ class MeasuredLane(Log):
     ``numbers`` holds the measures; NaN for points that the lane does not reach.
     """
 
-    def __init__(self, asked: Measures, lane: Lane, section: Section | None) -> None:
+    def __init__(self, asked: Measures, lane: Lane, section: Section | None, rtol: float) -> None:
         super().__init__()
         self.asked, self.section, self.t0 = asked, section, lane.t[0]
         self.numbers = np.full(asked.size, np.nan)
@@ -293,7 +293,7 @@ class MeasuredLane(Log):
         self.middle = 0.5 * (lane.t[0] + lane.t[1])
         self.low, self.high = np.inf + self.size, -np.inf + self.size
         self.scene, self.whole = lane.scene, Log()
-        self.sides = Sides(section, self.t0) if isinstance(section, Surface) else None
+        self.sides = Sides(section, self.t0, rtol) if isinstance(section, Surface) else None
         strobes = self._strobes(lane.t[1])
         times = np.empty(0) if asked.times is None else asked.times
         self.due = {"points": strobes, "saved": times}

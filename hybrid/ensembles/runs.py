@@ -414,7 +414,8 @@ class _Runs:
         """Fly a lane, with its measures."""
         if not self.measures.anything:
             return self._flown(lane, None)
-        watched = MeasuredLane(self.measures, lane, self.measures.section_of(lane, self.lanes))
+        section = self.measures.section_of(lane, self.lanes)
+        watched = MeasuredLane(self.measures, lane, section, self.asked.allowed[0])
         row, refused = self._flown(lane, watched)
         return _Ended(row._replace(measured=watched.end()), refused)
 

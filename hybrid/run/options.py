@@ -67,7 +67,8 @@ class Asked:
         return finest, max(finest, Solver.own_rtol) if self.spec.lags else finest
 
     @cached_property
-    def _allowed(self) -> tuple[float, np.ndarray]:
+    def allowed(self) -> tuple[float, np.ndarray]:
+        """The tolerances of a run, relative and absolute."""
         finest, own = self._own
         rtol, atol = tolerances(self.rtol, self.atol, self.spec.flows, own)
         if rtol < (least := min(finest, FINEST)):
@@ -88,7 +89,7 @@ class Asked:
         OptionError
             If one of them cannot be used.
         """
-        rtol, atol = self._allowed
+        rtol, atol = self.allowed
         t0, t1 = times_of(t)
         if self.zeno not in ZENO:
             raise OptionError(f"zeno={self.zeno!r}: one of {', '.join(map(repr, ZENO))}")

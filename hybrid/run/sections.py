@@ -85,7 +85,7 @@ class Surface:
 
     def returns(self, run: Solution) -> Iterator[Return]:
         """The crossings after the start, those in flights of a summed series of impacts too."""
-        sides = Sides(self, run.t0)
+        sides = Sides(self, run.t0, run.options["rtol"])
         for index, part in enumerate(run.parts):
             for flight, arc in enumerate(arcs_of(part)):
                 for tau in sides.crossings(arc):
@@ -98,19 +98,23 @@ class Sides:
 
     Where an arc begins or ends on the surface, as at a guard that is the same function, rounding
     decides nothing: the surface is crossed if the run leaves it to the other side than that from
-    which it came. While the run stays on it, as while it slides there, it crosses nothing.
+    which it came. While the run stays on it, as while it slides there, or no
+    farther from it than the errors of its steps, it crosses nothing.
 
     Attributes
     ----------
     surface : Surface
     t0 : float
         Where the run starts. A start on the surface is no crossing.
+    rtol : float
+        What the steps' polynomials may be off, relative to the terms of the surface.
     came : int
         The side from which the last arc came to the surface on which it ends; 0 if on none.
     """
 
     surface: Surface
     t0: float
+    rtol: float
     came: int = 0
 
     def crossings(self, arc: Arc) -> Iterator[float]:
@@ -127,7 +131,7 @@ class Sides:
             middle = 0.5 * (since + until)
             between = [value(t + middle, arc.local(middle).tolist())]
             between += [each for tau, each in values if since < tau < until]
-            return max(map(abs, between)) <= noise
+            return max(map(abs, between)) <= max(noise, self.rtol * size)
 
         here, there = value(arc.t0, arc.first.tolist()), value(arc.t1, arc.last.tolist())
         begins = abs(here) <= max(noise, STARTS * size * starts)
