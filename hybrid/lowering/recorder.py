@@ -101,9 +101,8 @@ BANDS = {
     "cosh": (-200.0, 200.0),
 }
 
-#: Operations with poles, away from which they may be negligible, and the index of the argument that
-#: is zero at the pole.
-POLES = {"div": 1, "pow": 0}
+#: Operations with poles, away from which they may be negligible.
+POLES = ("div", "pow")
 
 
 #: Operations that are expressed by others.
@@ -211,7 +210,15 @@ class _Recorder:
             return Watched("step", arguments[0])
         if op in BANDS:
             return Watched("band", arguments[0], *BANDS[op])
-        return Watched("pole", arguments[POLES[op]]) if op in POLES else None
+        return Watched("pole", self._divided(op, arguments)) if op in POLES else None
+
+    def _divided(self, op: str, arguments: list[int]) -> int:
+        """What has a pole where it is zero; a power has none while its exponent is positive."""
+        graph = self.graph
+        if op == "pow":
+            positive = graph.node("gt", arguments[1], graph.const(0.0))
+            return graph.node("select", positive, graph.const(1.0), arguments[0])
+        return arguments[1]
 
     def _side(self, op: str, arguments: list[int]) -> int:
         """Index of an operation's kink; -1 if it is constant along the flow."""

@@ -92,6 +92,7 @@ from .places import (
 )
 from .steps import step
 from .ties import gathered, latest, lose, together
+from .weak import few_terms
 from .zeros import EPS
 
 __all__ = ("first_step",)
@@ -155,8 +156,11 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
         now.ints[SHORT] = int(0.0 < expected(now) <= SHORT_SHARE * now.floats[SERIES_REACH])
         return GOES_ON
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
-    if jets(a.programs, program, order, now.floats[T], now.x, room.sides, room.c, room.work) < 0:
-        return LOOK
+    t, p = now.floats[T], a.programs
+    if jets(p, program, order, t, now.x, room.sides, room.c, room.work) < 0:
+        own = run[METHOD_ORDER] == 0.0
+        if not (own and few_terms(p, program, t, now.x, room.sides, room.c, room.work)):
+            return LOOK
     fires = starts(a, run, now, room)
     if fires != NONE:
         return at_once(now, fires)

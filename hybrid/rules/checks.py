@@ -203,7 +203,7 @@ def arrives(
     finite = True
     for i in range(point.shape[0]):
         end[i] = point[i]
-        finite = finite and math.isfinite(_rate(p, program, i, aside, 1 if seen else 0))
+        finite = finite and math.isfinite(rate_of(p, program, i, aside, 1 if seen else 0))
     return finite
 
 
@@ -263,7 +263,7 @@ def _set_apart(p: Programs, program: int, aside: Matrix) -> None:
         aside[row, 1] = aside[row, 0]
 
 
-def _rate(p: Programs, program: int, i: int, aside: Matrix, column: int) -> float:
+def rate_of(p: Programs, program: int, i: int, aside: Matrix, column: int) -> float:
     """The flow of an element of the state: the value of a row, or a number."""
     row = p.flow[p.index[program, FLOW] + i]
     return aside[row, column] if row >= 0 else p.numbers[-1 - row]
@@ -302,12 +302,12 @@ def _directs(
     finite = True
     close = True
     for i in range(states(p, program)):
-        rate, other = _rate(p, program, i, aside, 1), _rate(p, program, i, aside, 0)
+        rate, other = rate_of(p, program, i, aside, 1), rate_of(p, program, i, aside, 0)
         finite = finite and math.isfinite(rate) and math.isfinite(other)
         if abs(rate - rates[i]) <= MISSED * EPS * fastest:
             continue  # what follows allows more
         rounding = fastest + abs(2.0 * c[i, 2] * s) + abs(3.0 * c[i, 3] * s * s)
-        rounding += max(abs(c[i, 0]), abs(c[i, 1]), scale) / h
+        rounding += max(abs(c[i, 0]), scale) / h
         left = (c.shape[1] - 1) * behind(c[i], s) / s  # of the slope, as of its last terms
         allowed = max(MISSED * EPS * rounding, left) + ROUNDING_BESIDE * abs(rate - other)
         allowed += DENORMAL_LOSS

@@ -26,6 +26,7 @@ from .kinks import (
 )
 from .lengths import CONVERGED, behind, held_length, min_own_length, own_length, zero_of
 from .polynomials import power_value
+from .weak import few_terms, steady
 from .zeros import outweighs, soon
 from .zeros import series as zeros
 
@@ -110,7 +111,8 @@ def fly(
         sides[i] = 0
     for piece in range(most):
         status = expanded(p, program, t + time, end, sides, c, work)
-        if status < 0:
+        known = status
+        if known < 0 and not few_terms(p, program, t + time, end, sides, c, work):
             return status, time, speed, piece, crossings
         if piece == 0:
             _begin(p, program, sides, c, branch)
@@ -118,6 +120,10 @@ def fly(
             p, program, column, held, t + time, gap, speed, c, aside, work, rows, found, sides,
             _converged(p, program, signs, c), terms,
         )  # fmt: skip
+        if known < 0 and not (
+            status >= 0 and steady(p, program, t + time, h, sides, c, aside, work)
+        ):
+            status = known
         if status >= 0 and not _apart(p, program, column, h, rounding, signs, c, rows, found):
             status = REACHED
         if status < 0:

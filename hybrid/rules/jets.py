@@ -161,7 +161,7 @@ def _decided(p: Programs, program: int, order: int, sides: Ints, c: Matrix) -> b
             k = 1
             while k < order and c[row, k] == 0.0:
                 k += 1
-            if k <= order and c[row, k] != 0.0:
+            if k <= order and (c[row, k] > 0.0 or c[row, k] < 0.0):
                 sides[i] = 1 if c[row, k] > 0.0 else -1
                 return True
     return False

@@ -31,6 +31,9 @@ CONVERGED = 1e-3
 #: A step cut to less than this share of what its last terms allow is refused.
 SHORTEST_CUT = 1e-12
 
+#: No step is shorter: numbers next to the smallest have too few digits.
+SHORTEST_STEP = 1e-300
+
 #: Number of first terms by which a state element is measured.
 FIRST_TERMS = 3
 

@@ -365,10 +365,10 @@ def _power(op: int, y: int, a: int, b: int, s: Floats, c: Matrix, k: int) -> flo
     if zeros > k:
         return 0.0 if p >= 1.0 or (p > 0.0 and k == 0) else math.nan
     begin = p * zeros
+    if p >= 1.0 and begin > k:
+        return 0.0
     if zeros > 0 and (not p >= 1.0 or not _is_whole(begin)):
         return math.nan
-    if begin > k:
-        return 0.0
     i = k - int(begin) if zeros > 0 else k
     if i == 0:
         return _root(op, c[a, zeros], p)

@@ -14,6 +14,7 @@ from .checks import ROUNDING_BESIDE, arrives, beside, follows, look, place
 from .jets import KINKS
 from .kinks import (
     KINK_ROW,
+    NO_SERIES,
     NOT_FINITE,
     SIDE_BLUR,
     SWITCHES,
@@ -25,16 +26,18 @@ from .kinks import (
     holding,
     states,
 )
-from .lengths import SHORTEST_CUT, tolerated_length
+from .lengths import SHORTEST_CUT, SHORTEST_STEP, tolerated_length
+from .weak import forget, weak_step
 from .zeros import EPS
 
 __all__ = ("step",)
 
+#: Halvings in which the place is found where a flow ceases to be finite: each step towards it
+#: leaves this power of two of the way.
+BISECTIONS = 20
+
 #: Status code besides those of :mod:`.kinks`: no step can be made.
 NO_STEP = -3
-
-#: No step is shorter: numbers next to the smallest have too few digits.
-SHORTEST_STEP = 1e-300
 
 
 def step(
@@ -82,28 +85,63 @@ def step(
     status, length, kink
         0, or why there is no step; its length; the kink that it ends on, or -1.
     """
-    h = 0.0
-    crossed = -1
+    status, h, crossed, weak = 0, 0.0, -1, False
     for _ in range(2 * count(p, program) + 1):
         status = expanded(p, program, t, x, sides, c, work)
+        if status == NO_SERIES:  # rounding may have put the state before a kink that is passed
+            forget(sides)
+            status = expanded(p, program, t, x, sides, c, work)
         if status == 0 and forgotten(p, program, t, tau, x, crossed, sides, c, aside, work):
             status = expanded(p, program, t, x, sides, c, work)
         if status == 0:
             status, h, crossed = _length(
                 p, program, held, t, tau, most, loss, sides, c, aside, work, rows, found
             )
-        if status < 0:
-            return status, 0.0, -1
-        if crossed < 0 or tau + h > tau:
+        if status < 0 or crossed < 0 or tau + h > tau:
             break
         row = p.kinks[p.index[program, KINKS] + crossed, KINK_ROW]
         sides[crossed] = crossed_to(c, row, sides[crossed])
         begun(p, program, c, aside)
-    if not h > SHORTEST_STEP or (tau + h == tau and h < most):
-        return NO_STEP, 0.0, -1
-    if not arrives(p, program, t, h, crossed < 0, sides, c, aside, work, end):
-        return NOT_FINITE, 0.0, -1
+    if status == 0 and (not h > SHORTEST_STEP or (tau + h == tau and h < most)):
+        status = NO_STEP
+    if status < 0:
+        h, crossed = weak_step(p, program, held, t, tau, x, most, sides, c, aside, work), -1
+        status = 0 if h > 0.0 else status
+        weak = True
+    if status < 0:
+        return status, 0.0, -1
+    seen = crossed < 0 and not weak
+    if not arrives(p, program, t, h, seen, sides, c, aside, work, end):
+        h, crossed = before_border(p, program, t, tau, h, sides, c, aside, work, end), -1
+        if h == 0.0 or not follows(p, program, held, t, h, False, sides, c, aside, work):
+            return NOT_FINITE, 0.0, -1
     return 0, h, crossed
+
+
+def before_border(
+    p: Programs,
+    program: int,
+    t: float,
+    tau: float,
+    h: float,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+    end: Floats,
+) -> float:
+    """The length of a step that ends shortly before the flow ceases to be finite, as it does at its
+    end, and the state there; 0 if that is no farther than rounding."""
+    inside = 0.0
+    for _ in range(BISECTIONS):
+        middle = (tau + 0.5 * (inside + h)) - tau
+        if arrives(p, program, t, middle, False, sides, c, aside, work, end):
+            inside = middle
+        else:
+            h = middle
+    if inside > 0.0:
+        arrives(p, program, t, inside, False, sides, c, aside, work, end)
+    return inside
 
 
 def begun(p: Programs, program: int, c: Matrix, aside: Matrix) -> None:
