@@ -58,6 +58,10 @@ HIGHER = 3
 #: The gap speed, relative to those seen, at which a series of impacts that has no sum is over.
 SPENT_SPEED = 1e-20
 
+#: The speed of an impact, relative to the speeds seen, from which on a series that has no sum is at
+#: its limit: the rest of it is less than the rounding of what it has taken so far.
+LIMIT_SPEED = 1e-2 * EPS
+
 #: Positions are known to so many spacings; a lower flight does not count.
 POSITION_ROUNDING = 8.0
 

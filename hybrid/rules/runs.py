@@ -13,7 +13,8 @@ from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Look, Now, Room, Sums
 from .clocks import after
 from .contacts import asks, onto
-from .guards import GUARD_ROUNDING, largest, so_far
+from .entries import LIMIT_SPEED
+from .guards import GUARD_ROUNDING, largest, sizes_of, so_far
 from .hops import hop
 from .jets import afresh
 from .places import (
@@ -145,6 +146,11 @@ def accumulated(
     held = a.fields[field, CONSTRAINED] == 1
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
     x, v, column = left.after[place], now.floats[GAP_SPEED], guard - a.fields[field, GUARDS]
+    _, fast, _ = sizes_of(a, room, guard, t, now.seen)
+    if (
+        fast < math.inf and v <= LIMIT_SPEED * fast
+    ):  # no sum was to be had, and the limit is reached
+        return JUMP
     rtol, atol = run[CLOSING] * run[RELATIVE], run[CLOSING] * run[ABSOLUTE]
     local = a.guards[guard, LOCAL] == 1
     degree, r = close(a.programs, flow, at, column, held, local, t, x, v, rtol, atol, sums)

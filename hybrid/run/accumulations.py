@@ -9,6 +9,7 @@ import numpy as np
 from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
 from ..lowering import Contact, Field
+from ..rules.entries import LIMIT_SPEED
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..trajectory.accumulation import Accumulation
@@ -20,7 +21,7 @@ from ..zeno.cycle import CycleLimit
 from ..zeno.narrow import law_error, seen
 from ..zeno.others import apart
 from . import truncate
-from .entry import Jumped
+from .entry import Jumped, expand
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
 #: The length of a flight, relative to that of its series of impacts, from which on the series is at
 #: its limit: as many flights again as a double has digits for would not show in the time.
 LAST_FLIGHT = EPS * EPS
+
+#: The length of a flight, in roundings of the time, below which the steps of another solver do not
+#: show where in it the flow changes its formula.
+RESOLVED_TIMES = 64.0
 
 
 def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name: str) -> bool:
@@ -42,12 +47,13 @@ def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name:
         return truncate.hold(driver, contact, x, field)
     if contact.name in driver.scene.spec.chances:
         return _settles(driver, contact, x, v, field)
-    if watch.count < driver.plan.patience or not 0 < v <= PATIENCE * watch.tried:
+    if watch.count < driver.plan.patience or not v > 0:
         return False
-    watch.tried = v
-    tail, until = summed(driver, contact, x, v, field), driver.until(driver.horizon, field, x)
+    tail, until = None, driver.until(driver.horizon, field, x)
+    if v <= PATIENCE * watch.tried:
+        watch.tried, tail = v, summed(driver, contact, x, v, field)
     if tail is None:
-        return False
+        return _settles(driver, contact, x, v, field)
     over = -driver.record.now.after(tail.remaining).until(until)
     if over > 0:
         way = driver.t - driver.plan.t0 + tail.remaining
@@ -62,18 +68,39 @@ def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name:
 
 
 def _settles(driver: Driver, contact: Contact, x: StateVector, v: float, field: Field) -> bool:
-    """Pass the limit of impacts whose restitution draws, once it is reached but for rounding."""
+    """Pass the limit of impacts that have no sum, once it is reached but for rounding: of those
+    whose restitution draws, or that the flow or its bounds do not allow to be summed."""
     t, spec, watch = driver.t, driver.scene.spec, driver.watch
-    pull = -field.guards[field.column(contact.name)].lie(t, x.tolist())[2]
-    since = driver.cycles.first_of(contact.name)
-    if watch.count < driver.plan.patience or not 2.0 * v <= LAST_FLIGHT * pull * (t - since):
-        return False
     x_inf = x - v * np.array(contact.push(t, x.tolist()))
-    error = 64 * EPS * np.abs(x)
-    error[spec.place(DRAWS)] = np.inf
-    found = CycleLimit((contact.name,), 0.0, x_inf, np.nan, EPS * abs(t), error, watch.count)
+    drawn = contact.name in spec.chances
+    least = _at_limit(driver, contact.name, x_inf, field, drawn)
+    if watch.count < driver.plan.patience or not v <= least:
+        return False
+    error, left = 64 * EPS * np.abs(x), 0.0
+    if drawn:
+        error[spec.place(DRAWS)] = np.inf
+    else:
+        pull = -field.guards[field.column(contact.name)].lie(t, x.tolist())[2]
+        left = 2.0 * v / (pull * (1.0 - contact.law(t, x.tolist(), -v)))
+    found = CycleLimit((contact.name,), 0.0, x_inf, np.nan, EPS * abs(t) + left, error, watch.count)
     pass_cycle(driver, found, x, field.mode)
     return True
+
+
+def _at_limit(driver: Driver, name: str, x_inf: StateVector, field: Field, drawn: bool) -> float:
+    """The speed up to which impacts that have no sum are at their limit, but for rounding.
+
+    Where the flow has no series at the limit, flights cannot be told from rounding once the time
+    does not resolve them for another solver.
+    """
+    t, gap = driver.t, field.guards[field.column(name)]
+    pull = -gap.lie(t, x_inf.tolist())[2]
+    if drawn or not pull > 0.0:
+        return float(0.5 * LAST_FLIGHT * pull * (t - driver.cycles.first_of(name)))
+    spent = LIMIT_SPEED * driver.scene.rounding(gap, field)(t, driver.seen.tolist())[1]
+    if driver.solver.whole or expand(field, t, x_inf) is not None:
+        return float(spent)
+    return float(max(spent, 0.5 * pull * RESOLVED_TIMES * np.spacing(abs(t))))
 
 
 def summed(driver: Driver, contact: Contact, x: StateVector, v: float, field: Field) -> Tail | None:
