@@ -35,6 +35,7 @@ from ..solvers.base import NO_FLOW_HERE
 from ..trajectory.clock import Instant
 from ..trajectory.plan import Plan
 from ..zeno.flight import falls
+from .border import leaving, within
 from .entry import Entry, describe, expand, heading, opened, side_before
 from .kinked import begin
 from .losses import MAY_HIDE, Losses
@@ -195,7 +196,13 @@ class ArcFlow:
             limit = target if target is not None and target > start else length
             limit = min(limit, length, start + REACH * min(scales, default=float("inf")))
             limit = min(limit, start + self.plan.longest(start))
-            self._step(stepper, limit)
+            try:
+                self._step(stepper, limit)
+            except FlowError:
+                fired = self._at_border(stepper, start, x)
+                if fired is None or not segments:
+                    raise
+                break
             segment = stepper.segment()
             self._lose(start, x, stepper)
             try:
@@ -313,12 +320,14 @@ class ArcFlow:
         return describe(self.scene, self.field, self.now.t + tau, self.x if x is None else x)
 
     def _begin(self, length: float, target: float | None) -> Stepper:
+        self.x = within(self.field, self.now.t, self.x)
         if not all(map(isfinite, self.field.rhs(self.now.t, self.x.tolist()))):
             raise FlowError(f"{self._where()}: {NO_FLOW_HERE}")
         first, sizes = self.first_step(length), None
-        if target is not None:
+        if target is not None and self.series is not None:
             powers = target ** np.arange(1, ORDER + 1)
             sizes = np.abs(np.array(self.series[0])[:, 1:] * powers).max(axis=1)
+        if target is not None:
             first = min(first or target, target)
         try:
             return begin(self.solver, self.field, self.now.t, self.x, length, first, sizes)
@@ -349,6 +358,18 @@ class ArcFlow:
         except FlowError as fault:
             raise FlowError(f"{self._where(tau, x)}: {fault}") from None
 
+    def _at_border(self, stepper: Stepper, tau: float, x: StateVector) -> Fired | None:
+        """The edge that fires where the flow ends, if there is one, as no step can be made from a
+        state; it is moved to the edge's zero."""
+        t = self.now.t + tau
+        found = leaving(self.field, t, x)
+        if found is None:
+            return None
+        index, direction, ahead = found
+        stepper.tau = tau + ahead
+        stepper.x = x + ahead * np.array(self.field.rhs(t, x.tolist()))
+        return Fired(index, stepper.tau, direction)
+
     def _count(self, stepper: Stepper, steps: int) -> None:
         self.made += steps
         self.pace.steps(stepper.tau, stepper.x, steps)
@@ -370,7 +391,7 @@ class ArcFlow:
         """The end of a short flight onto a contact, or back onto a guard, from its Taylor series
         (2)."""
         if self.series is None:
-            return None
+            return self._expected(length)
         found = {}
         for index in filter(self._predicts, range(len(self.field.guards))):
             gap = [self._inside(index) * c for c in self.series[1][index]]
@@ -381,6 +402,16 @@ class ArcFlow:
         best = min(found.values(), default=float("inf"))
         self.predicted = {index for index, zero in found.items() if zero <= best * (1.0 + AIMED)}
         return best if found else None
+
+    def _expected(self, length: float) -> float | None:
+        """The length of a flight from a contact under a constant force, where the flow has no
+        series: in a first step that is far longer, a method's polynomial hardly shows the gap."""
+        for index, guard in enumerate(self.field.guards):
+            if guard.kind == "contact" and self.entered[index] == 1:
+                _, rate, bend = guard.lie(self.now.t, self.x.tolist())
+                if rate > 0.0 > bend and -2.0 * rate < -bend * length:
+                    return -2.0 * rate / bend
+        return None
 
     def _predicts(self, index: int) -> bool:
         """Whether a guard's next zero is predicted from its series: that of a contact, or of a

@@ -286,9 +286,9 @@ class Machine:
         except KeyboardInterrupt:
             self._interrupted(self.now, left)
             raise
-        except FlowError:
-            self._keep(left)
-            raise
+        except FlowError:  # the rules for the ends of a flow's domain are the driver's
+            self.ints[PHASE] = BEGINS
+            return LOOK
 
     def _watch(self, watched: bool) -> None:
         """Set whether the loop's steps are to be checked against the flow."""

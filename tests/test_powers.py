@@ -1,0 +1,152 @@
+"""Flows with roots and powers of what becomes zero: where it does they have no Taylor series."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+from .contract.ways import SOLVERS
+
+G = 9.81
+
+#: When a ball that is dropped from a height of 1 leaves a Hertzian floor of stiffness 1000, and
+#: when it meets the floor for the tenth time: quadrature of the energy's equation with 28 digits.
+LEAVES, TENTH = 0.608305847453521950815, 9.989989036939006601846
+
+#: Limits of the impacts of the dragged ball below, dropped from a height of 1 with restitution 0.8,
+#: by power and factor of the drag: the flights by quadrature over the speed, with 22 digits.
+LIMITS = {
+    (1.5, 0.3): 3.252148710758580054793,
+    (2.5, 0.1): 3.401271522646369513628,
+    (0.5, 0.3): 3.542997783505795098560,
+}
+
+#: What an arc of a solver with tolerances of 1e-8 may be off, and one that is exact to rounding:
+#: some hundred steps lead to a power's zero and away from it.
+TOLERANCE = {"taylor": 1e-13}
+
+#: A contact force by the law of Hertz, written in different ways: some have no value beyond zero.
+HERTZ = {
+    "power": lambda depth: depth**1.5,
+    "root": lambda depth: depth * jnp.sqrt(depth),
+    "size": lambda depth: jnp.abs(depth) ** 1.5,
+    "positive part": lambda depth: jnp.maximum(depth, 0.0) ** 1.5,
+}
+
+
+def hertz(law):
+    class Hertz(hy.Automaton):
+        """A ball on an elastic floor, with a mode for the contact."""
+
+        x = hy.state()
+        v = hy.state()
+
+        @hy.mode(initial=True)
+        def flight(self, t, s):
+            return s.v, -G
+
+        @hy.mode
+        def contact(self, t, s):
+            return s.v, -G + 1e3 * HERTZ[law](-s.x)
+
+        meets = hy.edge(flight, to=contact, guard=lambda self, t, s: s.x)
+        leaves = hy.edge(contact, to=flight, guard=lambda self, t, s: s.x, crossing=hy.RISING)
+
+    return Hertz()
+
+
+@pytest.mark.parametrize("way", ["taylor", "DOP853", "Radau", "Dopri8"])
+@pytest.mark.parametrize("law", HERTZ)
+def test_a_contact_by_the_law_of_hertz_is_met_and_left(law, way):
+    """The mode begins and ends where the force has no series, and beyond which some have no value.
+    Energy is conserved: the ball leaves with the speed with which it comes."""
+    run = hy.simulate(hertz(law), [1.0, 0.0], (0, 1.0), **SOLVERS[way])
+    assert [jump.edge for jump in run.jumps] == ["meets", "leaves"]
+    off = TOLERANCE.get(way, 1e-7)
+    np.testing.assert_allclose(run.jumps[1].t, LEAVES, rtol=off)
+    np.testing.assert_allclose(run.jumps[1].after, [0.0, np.sqrt(2 * G)], rtol=off, atol=off)
+
+
+@pytest.mark.parametrize("law", HERTZ)
+def test_many_contacts_lose_nothing(law):
+    run = hy.simulate(hertz(law), [1.0, 0.0], (0, 10), solver="taylor")
+    assert len(run.jumps) == 19
+    np.testing.assert_allclose(run.jumps[-1].t, TENTH, rtol=1e-13)
+    lanes = hy.ensemble(hertz(law), {"x": [1.0, 1.0], "v": 0.0}, (0, 10), solver="taylor")
+    assert lanes.x.values.tolist() == [run.final.x.item()] * 2
+
+
+class Dragged(hy.Automaton):
+    """A ball that air slows down by a power of its speed."""
+
+    x = hy.state()
+    v = hy.state()
+    power = hy.parameter(1.5)
+    factor = hy.parameter(0.3)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -G - self.factor * jnp.sign(s.v) * jnp.abs(s.v) ** self.power
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.8)
+
+
+@pytest.mark.parametrize("way", ["taylor", "DOP853", "Dopri8"])
+@pytest.mark.parametrize(("power", "factor"), LIMITS)
+def test_impacts_with_a_drag_that_has_no_series_at_rest_accumulate(power, factor, way):
+    """At the top of each flight the power is of zero. The impacts have no sum, as the flow has no
+    bounds at the limit: they are flown until it is reached."""
+    model = Dragged(power=power, factor=factor)
+    run = hy.simulate(model, [1.0, 0.0], (0, 5), **SOLVERS[way])
+    (point,) = run.zeno
+    np.testing.assert_allclose(point.t, LIMITS[power, factor], rtol=TOLERANCE.get(way, 1e-7))
+    assert point.verdict == "estimated"
+    assert len(run.jumps) < 250
+    assert run.mode == "flight.rest(impact)"
+    np.testing.assert_allclose(run.final, [0.0, 0.0], atol=1e-15)
+
+
+def test_the_limit_of_impacts_without_a_sum_says_how_far_it_may_be_off():
+    point = hy.simulate(Dragged(), [1.0, 0.0], (0, 5), solver="taylor").zeno[0]
+    assert abs(point.t - LIMITS[1.5, 0.3]) <= point.t_error < 1e-11
+
+
+class Valve(hy.Automaton):
+    """Two tanks joined by an orifice, through which water flows to both sides."""
+
+    a = hy.state()
+    b = hy.state()
+
+    def flow(self, s):
+        return jnp.sign(s.a - s.b) * jnp.sqrt(jnp.abs(s.a - s.b))
+
+    @hy.mode
+    def tanks(self, t, s):
+        pumped = jnp.cos(3.0 * t)
+        return pumped - self.flow(s), self.flow(s) - 0.3 * s.b
+
+
+def test_an_orifice_is_flown_through_to_both_sides():
+    exact = hy.simulate(Valve(), [1.0, 0.2], (0, 6), solver="taylor")
+    other = hy.simulate(Valve(), [1.0, 0.2], (0, 6), rtol=1e-11, atol=1e-13)
+    turns = np.diff(np.sign(exact(np.linspace(0, 6, 400)).a - exact(np.linspace(0, 6, 400)).b))
+    assert np.count_nonzero(turns) >= 4
+    np.testing.assert_allclose(exact.final, other.final, rtol=1e-8)
+
+
+class Standing(hy.Automaton):
+    """A drag by a root of the speed, and a spring: the speed is zero where the body turns."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def moves(self, t, s):
+        return s.v, -s.x - 0.3 * jnp.sign(s.v) * jnp.sqrt(jnp.abs(s.v))
+
+
+def test_a_run_may_start_where_a_power_is_of_zero():
+    run = hy.simulate(Standing(), [1.0, 0.0], (0, 3), solver="taylor")
+    other = hy.simulate(Standing(), [1.0, 0.0], (0, 3), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(run.final, other.final, rtol=1e-9)
