@@ -150,3 +150,37 @@ def test_a_run_may_start_where_a_power_is_of_zero():
     run = hy.simulate(Standing(), [1.0, 0.0], (0, 3), solver="taylor")
     other = hy.simulate(Standing(), [1.0, 0.0], (0, 3), rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(run.final, other.final, rtol=1e-9)
+
+
+def two_sided(t, x, v):
+    """Hertzian stops on both sides of a gap, with damping."""
+    beyond = jnp.maximum(x - 0.5, 0.0) ** 1.5 - jnp.maximum(-x - 0.5, 0.0) ** 1.5
+    return -15.0 * beyond * (1.0 + 0.3 * v)
+
+
+#: Forces that act on an oscillator, of which some are zero for a while.
+FORCES = {
+    "stops": two_sided,
+    "half wave": lambda t, x, v: jnp.sqrt(jnp.maximum(jnp.sin(t), 0.0)),
+    "wave": lambda t, x, v: 0.7 * jnp.abs(jnp.cos(2.0 * t)) ** 0.4,
+    "cube root": lambda t, x, v: -0.4 * jnp.cbrt(v),
+    "stops and drag": lambda t, x, v: two_sided(t, x, v) - 0.3 * jnp.sign(v) * jnp.abs(v) ** 0.7,
+}
+
+
+@pytest.mark.parametrize("name", FORCES)
+def test_forces_with_roots_are_flown_over_to_rounding(name):
+    """Against DOP853 at its finest, whose own errors are some 1e-12 there."""
+    force = FORCES[name]
+
+    class Driven(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+
+        @hy.mode
+        def moves(self, t, s):
+            return s.v, -s.x + 1.3 * jnp.cos(1.1 * t) + force(t, s.x, s.v)
+
+    run = hy.simulate(Driven(), [0.2, 0.0], (0, 9), solver="taylor")
+    fine = hy.simulate(Driven(), [0.2, 0.0], (0, 9), rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(run.final, fine.final, rtol=1e-10, atol=1e-10)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,15 @@ def _choice(g: Graph, a: int, b: int, then: int, other: int) -> int:
 
 def _size(g: Graph, a: int) -> int:
     return _choice(g, a, g.const(0.0), a, g.node("neg", a))
+
+
+def _of_branches(op: str, g: Graph, a: int, *power: int) -> int:
+    """A root or power; of a choice that may be a constant it is a choice of both: while it is 0 its
+    power has a series, which that of what only becomes 0 has not."""
+    kind, *parts = g.nodes[a]
+    if kind == "select" and any(g.nodes[part][0] == "const" for part in parts[1:]):
+        return g.node("select", parts[0], *(g.node(op, part, *power) for part in parts[1:]))
+    return g.node(op, a, *power)
 
 
 def _sign(g: Graph, a: int) -> int:
@@ -117,6 +127,7 @@ MADE_OF_OTHERS: dict[str, Callable[..., int]] = {
     "round": _round,
     "rem": lambda g, a, b: g.node("sub", a, g.node("mul", b, _trunc(g, g.node("div", a, b)))),
     "real": lambda g, a: a,
+    **{op: partial(_of_branches, op) for op in ("pow", "sqrt", "cbrt")},
 }
 
 

@@ -155,7 +155,7 @@ def first_change(
     does not tell from it is at the end. The length is NaN if a watched series is not finite, and 0
     where the flow beyond a kink leads back to it.
     """
-    chosen, blur = -1, ZERO_SPACINGS * EPS * max(abs(t), h)
+    chosen, blur = -1, min(ZERO_SPACINGS * EPS * max(abs(t), h), h)  # series reach no further
     first = p.index[program, KINKS]
     for i in range(count(p, program)):
         row = p.kinks[first + i, KINK_ROW]

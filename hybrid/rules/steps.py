@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from .arrays import Floats, Ints, Matrix, Programs
-from .checks import ROUNDING_BESIDE, arrives, beside, follows, look, place
+from .checks import ROUNDING_BESIDE, arrives, beside, follows, look, place, rate_of
 from .jets import KINKS
 from .kinks import (
     KINK_ROW,
@@ -88,9 +88,11 @@ def step(
     status, h, crossed, weak = 0, 0.0, -1, False
     for _ in range(2 * count(p, program) + 1):
         status = expanded(p, program, t, x, sides, c, work)
-        if status == NO_SERIES:  # rounding may have put the state before a kink that is passed
+        if status == NO_SERIES and crossed < 0:  # the kink that ended the last step may be ahead
             forget(sides)
             status = expanded(p, program, t, x, sides, c, work)
+        elif status == NO_SERIES:
+            status = a_little_later(p, program, t, tau, x, sides, c, aside, work)
         if status == 0 and forgotten(p, program, t, tau, x, crossed, sides, c, aside, work):
             status = expanded(p, program, t, x, sides, c, work)
         if status == 0:
@@ -142,6 +144,36 @@ def before_border(
     if inside > 0.0:
         arrives(p, program, t, inside, False, sides, c, aside, work, end)
     return inside
+
+
+def a_little_later(
+    p: Programs,
+    program: int,
+    t: float,
+    tau: float,
+    x: Floats,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+) -> int:
+    """Expand where the state is the first roundings of the time later at which there are series:
+    rounding has put it before a kink that has been passed, where the formula beyond has no value.
+    Returns a status as :func:`.kinks.expanded`."""
+    first = place(p, program, work)
+    point, most = work[first : first + x.shape[0]], ZERO_SPACINGS * EPS * max(abs(t), tau)
+    later = EPS * max(tau, SHORTEST_STEP)
+    while later <= 2.0 * most:
+        for i in range(x.shape[0]):
+            point[i] = x[i]
+        look(p, program, 0, t, point, False, sides, aside, work)
+        for i in range(x.shape[0]):
+            moved = later * rate_of(p, program, i, aside, 0)
+            point[i] += moved if math.isfinite(moved) else 0.0
+        if expanded(p, program, t + later, point, sides, c, work) == 0:
+            return 0
+        later *= 2.0
+    return NO_SERIES
 
 
 def begun(p: Programs, program: int, c: Matrix, aside: Matrix) -> None:

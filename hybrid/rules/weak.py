@@ -119,9 +119,11 @@ def weak_step(
     fit = few_terms(p, program, t, point, sides, c, work)
     if not fit:
         look(p, program, 0, t, point, False, sides, aside, work)
+        later = ZERO_SPACINGS * EPS * max(abs(t), tau)
         for i in range(n):
-            moved = ZERO_SPACINGS * EPS * max(abs(t), tau) * rate_of(p, program, i, aside, 0)
+            moved = later * rate_of(p, program, i, aside, 0)
             point[i] += moved if math.isfinite(moved) else 0.0
+        t += later
         fit = few_terms(p, program, t, point, sides, c, work)
     h = most if fit else 0.0
     while h > least and not (
