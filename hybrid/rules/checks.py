@@ -226,6 +226,27 @@ def beside(t: float, point: Floats) -> float:
     return t * (1.0 + SHIFT * EPS)
 
 
+def led(
+    p: Programs,
+    program: int,
+    t: float,
+    x: Floats,
+    later: float,
+    point: Floats,
+    sides: Ints,
+    aside: Matrix,
+    work: Floats,
+) -> None:
+    """Write into ``point`` where the flow leads from ``(t, x)`` in a time of the size of rounding.
+    What has no rate there stays."""
+    for i in range(x.shape[0]):
+        point[i] = x[i]
+    look(p, program, 0, t, point, False, sides, aside, work)
+    for i in range(x.shape[0]):
+        moved = later * rate_of(p, program, i, aside, 0)
+        point[i] += moved if math.isfinite(moved) else 0.0
+
+
 def look(
     p: Programs,
     program: int,

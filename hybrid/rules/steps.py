@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from .arrays import Floats, Ints, Matrix, Programs
-from .checks import ROUNDING_BESIDE, arrives, beside, follows, look, place, rate_of
+from .checks import ROUNDING_BESIDE, arrives, beside, follows, led, look, place
 from .jets import KINKS
 from .kinks import (
     KINK_ROW,
@@ -85,16 +85,9 @@ def step(
     status, length, kink
         0, or why there is no step; its length; the kink that it ends on, or -1.
     """
-    status, h, crossed, weak = 0, 0.0, -1, False
+    status, h, crossed = 0, 0.0, -1
     for _ in range(2 * count(p, program) + 1):
-        status = expanded(p, program, t, x, sides, c, work)
-        if status == NO_SERIES and crossed < 0:  # the kink that ended the last step may be ahead
-            forget(sides)
-            status = expanded(p, program, t, x, sides, c, work)
-        elif status == NO_SERIES:
-            status = a_little_later(p, program, t, tau, x, sides, c, aside, work)
-        if status == 0 and forgotten(p, program, t, tau, x, crossed, sides, c, aside, work):
-            status = expanded(p, program, t, x, sides, c, work)
+        status = _series(p, program, t, tau, x, crossed, sides, c, aside, work)
         if status == 0:
             status, h, crossed = _length(
                 p, program, held, t, tau, most, loss, sides, c, aside, work, rows, found
@@ -106,18 +99,41 @@ def step(
         begun(p, program, c, aside)
     if status == 0 and (not h > SHORTEST_STEP or (tau + h == tau and h < most)):
         status = NO_STEP
+    seen = status == 0 and crossed < 0
     if status < 0:
         h, crossed = weak_step(p, program, held, t, tau, x, most, sides, c, aside, work), -1
-        status = 0 if h > 0.0 else status
-        weak = True
-    if status < 0:
-        return status, 0.0, -1
-    seen = crossed < 0 and not weak
+        if h == 0.0:
+            return status, 0.0, -1
     if not arrives(p, program, t, h, seen, sides, c, aside, work, end):
         h, crossed = before_border(p, program, t, tau, h, sides, c, aside, work, end), -1
         if h == 0.0 or not follows(p, program, held, t, h, False, sides, c, aside, work):
             return NOT_FINITE, 0.0, -1
     return 0, h, crossed
+
+
+def _series(
+    p: Programs,
+    program: int,
+    t: float,
+    tau: float,
+    x: Floats,
+    turned: int,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+) -> int:
+    """The series with which a step begins, and a status as :func:`.kinks.expanded`; ``turned`` as
+    :func:`forgotten` takes it."""
+    status = expanded(p, program, t, x, sides, c, work)
+    if status == NO_SERIES and turned < 0:  # the kink that ended the last step may be ahead
+        forget(sides)
+        status = expanded(p, program, t, x, sides, c, work)
+    elif status == NO_SERIES:
+        status = a_little_later(p, program, t, tau, x, sides, c, aside, work)
+    if status == 0 and forgotten(p, program, t, tau, x, turned, sides, c, aside, work):
+        status = expanded(p, program, t, x, sides, c, work)
+    return status
 
 
 def before_border(
@@ -164,12 +180,7 @@ def a_little_later(
     point, most = work[first : first + x.shape[0]], ZERO_SPACINGS * EPS * max(abs(t), tau)
     later = EPS * max(tau, SHORTEST_STEP)
     while later <= 2.0 * most:
-        for i in range(x.shape[0]):
-            point[i] = x[i]
-        look(p, program, 0, t, point, False, sides, aside, work)
-        for i in range(x.shape[0]):
-            moved = later * rate_of(p, program, i, aside, 0)
-            point[i] += moved if math.isfinite(moved) else 0.0
+        led(p, program, t, x, later, point, sides, aside, work)
         if expanded(p, program, t + later, point, sides, c, work) == 0:
             return 0
         later *= 2.0

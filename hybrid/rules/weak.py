@@ -19,6 +19,7 @@ from .checks import (
     along,
     beside,
     decided,
+    led,
     look,
     place,
     rate_of,
@@ -118,11 +119,8 @@ def weak_step(
     forget(sides)
     fit = few_terms(p, program, t, point, sides, c, work)
     if not fit:
-        look(p, program, 0, t, point, False, sides, aside, work)
         later = ZERO_SPACINGS * EPS * max(abs(t), tau)
-        for i in range(n):
-            moved = later * rate_of(p, program, i, aside, 0)
-            point[i] += moved if math.isfinite(moved) else 0.0
+        led(p, program, t, x, later, point, sides, aside, work)
         t += later
         fit = few_terms(p, program, t, point, sides, c, work)
     h = most if fit else 0.0
