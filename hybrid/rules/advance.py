@@ -126,7 +126,7 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
             copied(now.end, behind)
         elif kind in (EDGE, CLOCK):
             copied(now.end, before)
-            late = beyond(a, now, guard) and now.floats[TAU] == 0.0
+            late = kind == EDGE and beyond(a, now, guard) and now.floats[TAU] == 0.0
             if not late and values(a, a.guards[guard, RESET], t, now.end, room, behind):
                 status, to = stays(a, now, room, t, behind, to)
                 held = kind == EDGE and unchanged(a, now, room, t, before, behind)
