@@ -147,9 +147,8 @@ def accumulated(
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
     x, v, column = left.after[place], now.floats[GAP_SPEED], guard - a.fields[field, GUARDS]
     _, fast, _ = sizes_of(a, room, guard, t, now.seen)
-    if (
-        fast < math.inf and v <= LIMIT_SPEED * fast
-    ):  # no sum was to be had, and the limit is reached
+    spent = fast < math.inf and v <= LIMIT_SPEED * fast
+    if spent:  # no sum was to be had, and the limit is reached
         return JUMP
     rtol, atol = run[CLOSING] * run[RELATIVE], run[CLOSING] * run[ABSOLUTE]
     local = a.guards[guard, LOCAL] == 1

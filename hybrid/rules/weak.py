@@ -2,8 +2,8 @@
 
 Such is ``|v|^1.5`` where ``v`` is zero: its series beside that place reach no further than to it,
 and there are none on it. The rates change by so little around it that a polynomial of the second
-degree follows the flow to rounding, for a short time. Its bend is that of a chord of the flow. The
-step is checked as every step is; where the flow jumps it cannot succeed.
+degree follows the flow to rounding, for a short time. Its bend is that of a chord of the flow. Its
+slopes are compared with the flow; where that jumps it cannot succeed.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
 from ..lowering import Contact, Field
 from ..rules.entries import LIMIT_SPEED
+from ..rules.sums import LEAST_LOSS
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..trajectory.accumulation import Accumulation
@@ -80,8 +81,11 @@ def _settles(driver: Driver, contact: Contact, x: StateVector, v: float, field: 
     if drawn:
         error[spec.place(DRAWS)] = np.inf
     else:
+        loss = 1.0 - contact.law(t, x.tolist(), -v)
+        if not loss > LEAST_LOSS:  # they go on for ever
+            return False
         pull = -field.guards[field.column(contact.name)].lie(t, x.tolist())[2]
-        left = 2.0 * v / (pull * (1.0 - contact.law(t, x.tolist(), -v)))
+        left = 2.0 * v / (pull * loss)
     found = CycleLimit((contact.name,), 0.0, x_inf, np.nan, EPS * abs(t) + left, error, watch.count)
     pass_cycle(driver, found, x, field.mode)
     return True

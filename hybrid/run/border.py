@@ -46,10 +46,10 @@ def leaving(field: Field, t: float, x: StateVector) -> tuple[int, int, float] | 
 def within(field: Field, t: float, x: StateVector) -> StateVector:
     """The state, or, if rounding has put it beyond the border of its mode, where it is a few
     roundings of the time later."""
-    flow, later = np.array(field.rhs(t, x.tolist())), float(np.spacing(abs(t)))
-    known, there = np.isfinite(flow), x
-    while not np.isfinite(field.rhs(t, there.tolist())).all() and later <= BORDER * np.spacing(
-        abs(t)
-    ):
-        there, later = x + np.where(known, later * flow, 0.0), 2.0 * later
+    flow, spacing = np.array(field.rhs(t, x.tolist())), float(np.spacing(abs(t)))
+    known, roundings, there = np.isfinite(flow), 1.0, x
+    finite = known.all()
+    while not finite and roundings <= BORDER:
+        there = x + np.where(known, roundings * spacing * flow, 0.0)
+        finite, roundings = np.isfinite(field.rhs(t, there.tolist())).all(), 2.0 * roundings
     return there

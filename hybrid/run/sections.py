@@ -98,8 +98,8 @@ class Sides:
 
     Where an arc begins or ends on the surface, as at a guard that is the same function, rounding
     decides nothing: the surface is crossed if the run leaves it to the other side than that from
-    which it came. While the run stays on it, as while it slides there, or no
-    farther from it than the errors of its steps, it crosses nothing.
+    which it came. While the run stays on it, as while it slides there, or no farther from it than
+    the errors of its steps, it crosses nothing.
 
     Attributes
     ----------
