@@ -151,7 +151,7 @@ JUMPS = {
     "trunc": (jnp.trunc, 2.0, 1.0, 2.0),
     "mod": (lambda x: jnp.mod(x, 2.0), 2.0, 2.0, 0.0),
     "remainder": (lambda x: jnp.fmod(x, 2.0), 2.0, 2.0, 0.0),
-    "divided": (lambda x: x // 0.5, 1.5, 2.0, 3.0),
+    "divided": (lambda x: x // 0.75, 1.5, 1.0, 2.0),
     "sign": (lambda x: jnp.sign(x - 1.5), 1.5, -1.0, 1.0),
     "step": (lambda x: jnp.where(x >= 2.0, 5.0, 4.0), 2.0, 4.0, 5.0),
 }

@@ -262,11 +262,14 @@ class Tables:
 
     def _may(self, field: Field, guard: Guard) -> bool:
         """Whether the loop can watch a guard: if its formula changes, it must stay defined; and a
-        load changes it by a force, not as its contact is moved away, which ends it, too."""
+        load changes it by a force, not as its contact is moved away, which ends it, too, and a flow
+        to a surface not as that jumps."""
         if not guard.kinks:
             return True
         if self.scene.spec.lags or any(kink.change == "ends" for kink in guard.kinks):
             return False
+        if guard.kind is Kind.LEAVE:
+            return not field.leaps
         if guard.kind is not Kind.RELEASE:
             return True
         free = self.scene.field(field.mode)

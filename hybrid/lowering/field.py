@@ -11,6 +11,7 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..errors import TraceError
+from ..rules.guards import JUMPS_WITHIN
 from .derivatives import gradient
 from .lowered import ORDER, Lowered
 from .mode import Kind
@@ -171,21 +172,41 @@ class Field:
     def onto(self, t: float, x: list[float], ends: bool = False) -> Any:
         """As ``project``, of a field that has one: an arc keeps this, which is pickled.
 
-        ``ends``: at the end of a stretch, which at a knot of signals is on the piece before it.
+        ``ends``: at the end of a stretch. At a knot of signals that is on the piece before it, and
+        where the gap or the surface jumps as it was just before, and as the flow has gone on since.
         """
         assert self.project is not None
-        if not self.scene.samples:
-            return self.project(t, x)
-        first, last, there = self._made.get("onto", (np.inf, -np.inf, None))
         within = float(np.nextafter(t, -np.inf)) if ends else t
-        if not first <= within < last:  # the arc goes on over knots
-            there = self.scene.projection(self.mode, self.held, self.scene.values_at(within))
-            self._made["onto"] = (*self.scene.span(within), there)
-        return there(t, x)
+        project = self._projection(within) if self.scene.samples else self.project
+        if not (ends and self.leaps):
+            return project(t, x)
+        back = JUMPS_WITHIN * float(np.spacing(abs(t)))
+        flow = back * np.array(self.rhs(t - back, x))
+        return tuple((np.array(project(t - back, (x - flow).tolist())) + flow).tolist())
 
-    def along(self, t: float, x: StateVector) -> np.ndarray:
-        """The state projected onto the held contacts or the surface, if there are any."""
-        return x if self.project is None else np.array(self.project(float(t), x.tolist()))
+    def _projection(self, t: float) -> Scalar:
+        """The projection with the piece of the signals of a time, over whose knots arcs may go."""
+        first, last, there = self._made.get("onto", (np.inf, -np.inf, None))
+        if not first <= t < last:
+            there = self.scene.projection(self.mode, self.held, self.scene.values_at(t))
+            self._made["onto"] = (*self.scene.span(t), there)
+        return there
+
+    def along(self, t: float, x: StateVector, ends: bool = False) -> np.ndarray:
+        """The state on the held contacts or the surface, if there are any (:meth:`onto`)."""
+        if self.project is None:
+            return x
+        on = self.onto(float(t), x.tolist(), True) if ends else self.project(float(t), x.tolist())
+        return np.array(on)
+
+    @cached_property
+    def leaps(self) -> bool:
+        """Whether the gap of a contact held here, or the surface on which the state slides, may
+        jump."""
+        owners = [self.scene.field(self.mode).guard(name) for name in self.held]
+        ends = (guard for guard in self.guards if guard.kind is Kind.LEAVE)
+        owners += [self.scene.field(g.to).guard(g.edge.rpartition(".")[0]) for g in ends]
+        return any(guard.jumps for guard in owners)
 
     @property
     def closed(self) -> Any:

@@ -24,6 +24,9 @@ Ids = np.ndarray
 #: Operations whose results are booleans or integers.
 WHOLE_VALUED = {"gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite", "trunc"}
 
+#: Inverse trigonometric functions, and what each of them is the inverse of.
+INVERSES = {"asin": "sin", "acos": "cos", "atan": "tan"}
+
 #: Stands for time among indices into the state vector.
 TIME_PLACE = -1
 
@@ -156,10 +159,12 @@ class Graph:
             folded = fold(op, values)
             if folded is not None:
                 return ("const", folded, repr(folded))
-        if op == "sqrt":  # of a square: makes the corner at zero visible
-            inner, *factors = self.nodes[arguments[0]]
-            if inner == "mul" and factors[0] == factors[1]:
-                return ("abs", factors[0])
+        if op == "sqrt" and (root := self.root(arguments[0])) is not None:
+            return self._simplify(("abs", root))
+        if op == "abs" and self.root(arguments[0]) is not None:
+            return (arguments[0],)
+        if op in INVERSES and (angle := self.nodes[arguments[0]])[0] == INVERSES[op]:
+            return (self._folded(op, angle[1]),)
         if op == "select" and self._same(*arguments):
             return (arguments[2],)
         if op == "eq":  # with a maximum, as slopes ask: of one argument, bounds do not decide it
@@ -169,6 +174,24 @@ class Graph:
                     other = rest[0] if rest[1] == a else rest[1]
                     return self._simplify(("ge" if inner == "max" else "le", a, other))
         return _identity(op, arguments, values, self.exact) or key
+
+    def root(self, number: int) -> int | None:
+        """The node of which this one is the square; None if it is none. Roots of squares are read
+        as sizes, which show that they have a corner at zero."""
+        op, *factors = self.nodes[number]
+        return factors[0] if op == "mul" and factors[0] == factors[1] else None
+
+    def _folded(self, op: str, angle: int) -> int:
+        """An inverse trigonometric function of its own function: the angle, folded. So it shows the
+        corners and jumps that it has where neither of the two has any."""
+        half, turn = self.const(0.5 * math.pi), self.const(math.pi * (1 if op == "atan" else 2))
+        if op == "asin":
+            angle = self.node("sub", angle, half)
+        turns = self.node("add", self.node("div", angle, turn), self.const(0.5))
+        whole = self.node("mul", turn, self.node("floor", turns))
+        rest = self.node("sub", angle, whole)
+        size = rest if op == "atan" else self.node("abs", rest)
+        return self.node("sub", half, size) if op == "asin" else size
 
     def _same(self, test: int, yes: int, no: int) -> bool:
         """Whether a choice is its second case either way: ``0 if a == 0 else a``, and ``nan if
@@ -229,6 +252,8 @@ def _identity(
     op: str, args: tuple[Any, ...], values: list[Any], exact: bool
 ) -> tuple[Any, ...] | None:
     """``x + 0``, ``x * 1``, ``x - 0``, ``x / 1``, ``max(x, -inf)``, and a choice already made."""
+    if op == "select" and args[1] == args[2]:
+        return (args[1],)
     if op == "select":
         return (args[1] if values[0] else args[2],) if values[0] is not None else None
     if op == "add" and values[0] == 0:

@@ -145,7 +145,7 @@ def _written(graph: Graph, equation: Any, inputs: list[Ids], name: str) -> list[
         return [largest(graph, equation, *inputs)]
     if name == "sort" and (rows := in_order(graph, equation, inputs)) is not None:
         return rows
-    for make in (searched, determinants, sinc, copysign, signbit):
+    for make in (searched, determinants, sinc, copysign, signbit, divided):
         if (found := make(graph, equation, inputs)) is not None:
             return found
     if inner is not None and name not in ("while", "scan"):
@@ -220,7 +220,10 @@ def _power(graph: Graph, params: Any, x: Ids, y: Ids) -> Ids:
     ``exp(y log x)`` where it moves, so that it has one at all."""
 
     def power(base: int, exponent: int) -> int:
-        value = graph.value(exponent)
+        value, root = graph.value(exponent), graph.root(base)
+        if root is not None and not graph.moves(exponent):
+            twice = graph.node("mul", graph.const(2.0), exponent)
+            return power(graph.node("abs", root), twice)
         if value is not None and value == round(value) and abs(value) <= WRITTEN_POWER:
             return int(_integer_pow(graph, {"y": round(value)}, np.array(base)))
         if not graph.moves(exponent):
@@ -262,6 +265,20 @@ def sinc(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
     apart = mapped(graph, "select", [near, one, angle])
     ratio = mapped(graph, "div", [mapped(graph, "sin", [angle]), apart])
     return [mapped(graph, "select", [near, series, ratio])]
+
+
+def divided(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
+    """``mod`` and ``floor_divide`` by ``floor`` alone; None where an equation is neither, is of
+    integers, or also asks for the derivative. As JAX writes them they ask for the sign of a
+    remainder, which only touches zero."""
+    name = next((n for n in ("remainder", "floor_divide") if of_jax(equation, n)), None)
+    if name is None or len(equation.outvars) != 1 or equation.outvars[0].aval.dtype.kind != "f":
+        return None
+    x, y = inputs
+    whole = mapped(graph, "floor", [mapped(graph, "div", [x, y])])
+    if name == "floor_divide":
+        return [whole]
+    return [mapped(graph, "sub", [x, mapped(graph, "mul", [y, whole])])]
 
 
 def _select(graph: Graph, params: Any, which: Ids, *cases: Ids) -> Ids:

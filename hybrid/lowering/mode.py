@@ -301,7 +301,10 @@ class ModeGraph:
 
     def deciding(self, name: str) -> list[int]:
         """Nodes whose change of formula matters for a guard. For a load these include the contact's
-        gap, gap speed and free acceleration, which can end the rest too."""
+        gap, gap speed and free acceleration, and for the end of sliding the surface: these can end
+        it, too."""
+        if name in self.derived and (slides := self.spec.sliding(self.mode)) is not None:
+            return [self.guard(name), *self.values(self.code.closed("surface", slides.name))]
         held = name.removesuffix(RELEASE_SUFFIX)
         if held == name:
             return [self.guard(name)]

@@ -36,7 +36,7 @@ from ..trajectory.clock import Instant
 from ..trajectory.plan import Plan
 from ..zeno.flight import falls
 from .border import leaving, within
-from .entry import Entry, describe, expand, heading, opened, side_before
+from .entry import Entry, departed, describe, expand, heading, opened, side_before
 from .kinked import begin
 from .losses import MAY_HIDE, Losses
 from .pace import Pace
@@ -588,8 +588,8 @@ class ArcFlow:
         """Whether a guard fires where it changes its formula (1).
 
         A load that becomes zero holds until it falls below, and so does a surface to which a flow
-        no longer leads back. If the load does not change, the obstacle may have begun to move away:
-        then the contact ends as well.
+        no longer leads back. If these do not change, the obstacle may have begun to move away, or
+        the surface have jumped: that ends the contact, and sliding, as well.
         """
         if zero.tau >= self.now.until(self.until):
             return False
@@ -605,9 +605,23 @@ class ArcFlow:
         if abs(beyond) <= noise:
             _, sign = heading(self.scene, after, self.field.name, there, guard.edge, np.zeros(0))
             beyond = noise + _outside(guard, sign)
-        name, mode = released(guard.edge), self.field.mode
-        opens = guard.kind == "release" and opened(self.scene, mode, name, after, x)
-        return beyond > noise or opens
+        return beyond > noise or self._moved(guard, after, x)
+
+    def _moved(self, guard: Guard, t: float, x: StateVector) -> bool:
+        """Whether what holds the state has moved away from it, the obstacle or the surface."""
+        if guard.kind == "leave":
+            return departed(self.scene, guard, t, x)
+        return opened(self.scene, self.field.mode, released(guard.edge), t, x)
+
+    def _onto(self, cut: Cut | None, segment: Segment, tau: float, x: StateVector) -> StateVector:
+        """The state on the contacts held, or on the surface on which it slides. At a cut these may
+        jump: there it is on them as they were just before, and has gone on from there."""
+        t = self.now.t + tau
+        if cut is None or self.field.project is None:
+            return self.field.along(t, x)
+        back = (cut.after - cut.before) * segment.length
+        flow = np.array(self.field.rhs(t - back, x.tolist()))
+        return self.field.along(t - back, x - back * flow) + back * flow
 
     def _past(
         self, fired: Fired, stepper: Stepper, segment: Segment, length: float
@@ -620,11 +634,8 @@ class ArcFlow:
         """
         if fired.cut is None and not self.field.guards[fired.index].jumps:
             return []
-        start, x = stepper.tau, stepper.x
-        if self.field.project is not None:
-            cut = fired.cut
-            before = start if cut is None or cut.before >= 0.0 else _before(cut, segment)
-            x = np.array(self.field.project(self.now.t + before, x.tolist()))
+        start = stepper.tau
+        x = self._onto(fired.cut, segment, start, stepper.x)
         flow = np.array(self.field.rhs(self.now.t + start, x.tolist()))
         shift, spacing = 0.0, float(np.spacing(abs(self.now.t) + start))
         while self._before(fired.cut, start + shift, x + shift * flow) and start + shift < length:
@@ -650,12 +661,15 @@ class ArcFlow:
         return not side > 0 and cut.kink.change != "ends"
 
     def _carried(self, fired: Fired, tau: float, x: StateVector) -> bool:
-        """Whether an edge's guard has jumped over zero, or is zero, by its own value: the function
-        that decides on it may be rounded differently, and the next arc evaluates the guard."""
+        """Whether an edge's guard has jumped over zero, or is zero, and whether what holds the
+        state has let it go, by their own values: the function that decides on them may be rounded
+        differently, and the next arc evaluates them."""
         guard, t, at = self.field.guards[fired.index], self.now.after(tau).t, x.tolist()
-        beyond = guard.value(t, at) * fired.direction
+        noise = self._rounding(fired.index, t, at)
+        if guard.kind in ("release", "leave"):
+            return _outside(guard, guard.value(t, at)) > noise or self._moved(guard, t, x)
         jumps = guard.kind == "edge" and guard.jumps
-        return not jumps or beyond >= -self._rounding(fired.index, t, at)
+        return not jumps or guard.value(t, at) * fired.direction >= -noise
 
     def _ends(self, segment: Segment) -> float:
         """How far the end of a step is beyond the time just before the last time of the run."""
@@ -791,7 +805,7 @@ class ArcFlow:
                 segment = stepper.land(tau)
             for _ in range(LANDINGS):
                 t = self.now.t + stepper.tau
-                x = self.field.along(t, stepper.x)
+                x = self._onto(fired.cut, segment, stepper.tau, stepper.x)
                 value, shift, exact = self._missing(fired, t, x.tolist())
                 if abs(shift) <= small or exact:
                     break
@@ -810,7 +824,7 @@ class ArcFlow:
             raise FlowError(f"{self._where(tau)}: {fault}") from None
         if not abs(shift) <= small or stepper.tau + shift > last:
             return segment
-        stepper.x = self.field.along(self.now.t + stepper.tau, stepper.x)
+        stepper.x = self._onto(fired.cut, segment, stepper.tau, stepper.x)
         flow = np.array(self.field.rhs(self.now.t + stepper.tau, stepper.x.tolist()))
         if fired.cut is not None:
             shift = self._short_of(fired.cut, stepper, shift, flow)

@@ -12,7 +12,7 @@ import numpy as np
 from ..lowering import Field, Guard
 from ..trajectory.clock import Instant
 from .entry import Jumped, is_zero, signs_at_end
-from .knots import pass_knot
+from .knots import let_go, pass_knot
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -83,7 +83,7 @@ def go_by(driver: Driver, t: float, x: StateVector) -> None:
         memory.passed(t, x, entry.field)
     if memory is None and driver.scene.until <= t:
         pass_knot(driver, t, x)
-    else:
+    elif not (entry.field.leaps and let_go(driver, t, x)):
         signs, known = signs_at_end(entry, t, x, driver.reach(x)), driver.vanishing
         driver.enter(entry.field.mode, x, Jumped(known, entry.field.held, passing=signs))
     driver.spent |= over
@@ -103,7 +103,7 @@ def rings(
     rings; else the guard that fires there: of those that are zero at one time that of the edge
     declared first (4). Then whether that time is the clock's."""
     end, field = driver.record.now.after(flown.length), driver.entry.field
-    clock = first(driver, t, field.along(t, flown.x))
+    clock = first(driver, t, field.along(t, flown.x, ends=True))
     if fired is not None and not is_zero(driver, fired, end, flown.x, t):
         return None, fired, False
     there = (g for g in field.guards if g is fired or is_zero(driver, g, end, flown.x, t))

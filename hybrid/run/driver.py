@@ -367,7 +367,7 @@ class Driver:
             self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
             if by:
                 self.passed(flown.length)
-                clocks.go_by(self, due, entry.field.along(due, flown.x))
+                clocks.go_by(self, due, entry.field.along(due, flown.x, ends=True))
             else:
                 self.pass_window(fired, flown.x)
             return

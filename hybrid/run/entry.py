@@ -268,13 +268,28 @@ def heading(
 def opened(scene: Scene, mode: str, contact: str, t: float, x: StateVector) -> bool:
     """Whether the gap or gap speed of a contact that was held differs from zero by more than
     rounding."""
-    field = scene.field(mode)
-    guard = field.guards[field.column(contact)]
-    sizes = scene.rounding(guard, field)(t, x.tolist())
-    gap, speed, _ = guard.lie(t, x.tolist())
-    late = 64 * float(np.spacing(abs(t)))  # the place at which it opens is known no better
-    far = abs(gap) > 64 * EPS * sizes[0] + late * (sizes[1] + late * sizes[2])
-    return far or abs(speed) > 64 * EPS * sizes[1] + late * sizes[2]
+    gap, speed, noise = _off_zero(scene, scene.field(mode), contact, t, x)
+    return abs(gap) > noise[0] or abs(speed) > noise[1]
+
+
+def departed(scene: Scene, guard: Guard, t: float, x: StateVector) -> bool:
+    """Whether the surface on which a state slid has jumped from it by more than rounding, so that
+    it is now on the side to which a guard leads that ends sliding."""
+    switching, _, _ = guard.edge.rpartition(".")
+    value, _, noise = _off_zero(scene, scene.field(guard.to), switching, t, x)
+    return value * DIRECTIONS[guard.crossing] > noise[0]
+
+
+def _off_zero(
+    scene: Scene, field: Field, edge: str, t: float, x: StateVector
+) -> tuple[float, float, tuple[float, float]]:
+    """A guard and its rate where it was zero, and what rounding makes of each."""
+    guard = field.guards[field.column(edge)]
+    value, rate, _ = guard.lie(t, x.tolist())
+    terms = scene.rounding(guard, field)(t, x.tolist())
+    late = 64 * float(np.spacing(abs(t)))  # the place at which it leaves zero is known no better
+    slower = 64 * EPS * terms[1] + late * terms[2]
+    return value, rate, (64 * EPS * terms[0] + late * (terms[1] + late * terms[2]), slower)
 
 
 def beyond_kinks(

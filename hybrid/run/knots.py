@@ -17,7 +17,7 @@ from ..rules.arrays import InputArrays
 from ..rules.guards import GUARD_ROUNDING
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
-from .entry import Entry, Jumped, is_zero, opened, signs_at_end
+from .entry import Entry, Jumped, departed, is_zero, opened, signs_at_end
 from .noting import add_jump
 
 if TYPE_CHECKING:
@@ -35,13 +35,13 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
     """Continue an arc behind a knot.
 
     A guard that is zero there fires first, from left values (4). A contact at rest opens if its gap
-    or gap speed jumps there; a surface that jumps over the state is crossed; a guard that has
-    jumped over zero fires (1).
+    or gap speed jumps there, and sliding ends where the surface does; one that jumps over the state
+    is crossed; a guard that has jumped over zero fires (1).
 
     Raises
     ------
     DomainError
-        If a gap jumps below zero, or a surface jumps away from a state that slides on it.
+        If a gap jumps below zero.
     """
     entry, field, there = driver.entry, driver.entry.field, driver.model.at(t)
     known = driver.vanishing
@@ -53,22 +53,39 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
     driver.scene = there
     off = {guard.edge: guard for guard in _off(driver, there, t, x)}
     _require_within(driver, there, off, signs, t, x)
-    over = [edge for edge, guard in off.items() if _is_over(guard, signs, t, x)]
-    open_ = [c for c in field.held if opened(there, field.mode, c, t, x)]
-    for edge in (*over[:1], *(f"{contact}{RELEASE_SUFFIX}" for contact in open_)):
-        driver.record.arc(field, x, x, 0.0, [])
-        driver.watch.reset()
-        if edge not in over:
-            driver.record.released(edge.removesuffix(RELEASE_SUFFIX), t)
-        add_jump(driver, edge, x, x)
+    over = next((guard for guard in off.values() if _is_over(guard, signs, t, x)), None)
     driver.cycles.forget()
-    if over:
-        driver.enter(off[over[0]].to, x, Jumped())
-    elif open_:
-        driver.enter(field.mode, x, Jumped(held=tuple(c for c in field.held if c not in open_)))
-    else:
+    if over is not None:
+        _leave(driver, over.edge, x)
+        driver.enter(over.to, x, Jumped())
+    elif not let_go(driver, t, x):
         known = {edge: power for edge, power in known.items() if edge not in off}
         driver.enter(field.mode, x, Jumped(known, field.held, passing=signs))
+
+
+def let_go(driver: Driver, t: float, x: StateVector) -> bool:
+    """Release the contacts at rest that are open at a time at which what holds the state may have
+    jumped, and leave a surface that it slid on; returns whether there were any."""
+    field, scene = driver.entry.field, driver.scene
+    ends = (guard for guard in field.guards if guard.kind == "leave")
+    gone = next((guard for guard in ends if departed(scene, guard, t, x)), None)
+    open_ = [contact for contact in field.held if opened(scene, field.mode, contact, t, x)]
+    for contact in open_:
+        driver.record.released(contact, t)
+        _leave(driver, f"{contact}{RELEASE_SUFFIX}", x)
+    if gone is not None:
+        _leave(driver, gone.edge, x)
+        driver.enter(gone.to, x, Jumped())
+    elif open_:
+        driver.enter(field.mode, x, Jumped(held=tuple(c for c in field.held if c not in open_)))
+    return gone is not None or bool(open_)
+
+
+def _leave(driver: Driver, edge: str, x: StateVector) -> None:
+    """Add a jump that does not change the state, after an arc of no length."""
+    driver.record.arc(driver.entry.field, x, x, 0.0, [])
+    driver.watch.reset()
+    add_jump(driver, edge, x, x)
 
 
 def _fires(driver: Driver, spent: frozenset[str], t: float, x: StateVector) -> bool:
@@ -116,7 +133,7 @@ def _watched(driver: Driver, there: Scene) -> Field:
 
 def _is_over(guard: Guard, signs: dict[str, int], t: float, x: StateVector) -> bool:
     """Whether a surface has jumped over the state."""
-    return guard.kind == "switch" and guard.value(t, x.tolist()) * signs[guard.edge] < 0
+    return guard.kind == "switch" and guard.value(t, x.tolist()) * signs.get(guard.edge, 0) < 0
 
 
 def _require_within(
@@ -127,17 +144,14 @@ def _require_within(
     t: float,
     x: StateVector,
 ) -> None:
-    """Refuse a gap that jumps below zero, and a surface that jumps off a state that slides."""
-    switching = there.spec.sliding(driver.entry.field.mode)
+    """Refuse a gap that jumps below zero."""
     for edge, guard in off.items():
         value = guard.value(t, x.tolist())
-        slides = switching is not None and edge == switching.name
-        if slides or (guard.kind == "contact" and value < 0 and signs.get(edge, 1) > 0):
+        if guard.kind == "contact" and value < 0 and signs.get(edge, 1) > 0:
             names = ", ".join(signal.name for signal in there.spec.signals)
-            what = "surface" if slides else "gap"
             raise DomainError(
-                f"{driver.where(x)}: at this knot of the signals ({names}) the {what} of "
-                f"{edge} jumps to {value:.6g}, and the state does not; a {what} must not "
+                f"{driver.where(x)}: at this knot of the signals ({names}) the gap of "
+                f"{edge} jumps to {value:.6g}, and the state does not; a gap must not "
                 'jump so: kind="linear" or "cubic" joins its values'
             )
 

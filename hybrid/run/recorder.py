@@ -135,9 +135,8 @@ class Recorder:
         kept = self.plan.dense or self.plan.samples is not None
         if not (kept or (self.memory is not None and not self.memory.told)):
             segments = ()
-        project = field.project
-        if project is not None:
-            last = np.array(project(self.now.t + length, last.tolist()))
+        if field.project is not None:
+            last = field.along(self.now.t + length, last, ends=True) if length > 0.0 else last
             segments = [projected(s, self.now.t, field.onto) for s in segments]
         if self.memory is not None:
             self.memory.flown(self.now, segments)

@@ -11,7 +11,7 @@ from ..lowering import Field, Guard
 from ..lowering.automaton import DIRECTIONS
 from ..rules import unit
 from ..rules.switches import CROSSES, UNSETTLED
-from .entry import Jumped, heading
+from .entry import Jumped, departed, heading
 from .limits import pass_limit
 from .noting import add_jump
 
@@ -35,12 +35,14 @@ def meet(driver: Driver, guard: Guard, x: StateVector) -> None:
 
 def leave(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
     """Sliding ends. In the mode that follows, the surface function and its rate vanish, but where
-    a flow has jumped (``carried``)."""
+    a flow, or the surface, has jumped (``carried``)."""
     overdue = carried or bool(driver.entry.at_once) or driver.forgets
     driver.watch.reset()
     add_jump(driver, guard.edge, x, x)
     known = vanishing(guard, driver.scene.field(guard.to))
-    driver.enter(guard.to, x, Jumped(dict.fromkeys(known, 1) if overdue else known))
+    known = dict.fromkeys(known, 1) if overdue else known
+    gone = carried and departed(driver.scene, guard, driver.t, x)
+    driver.enter(guard.to, x, Jumped({} if gone else known))
 
 
 def vanishing(guard: Guard, field: Field) -> dict[str, int]:

@@ -417,8 +417,8 @@ class Walk:
             raise OrbitError(f"{self.model}, t = {row.t!r}: {row.edge} {SEES_RATES}")
 
     def _on_knot(self, index: int, guard: Guard, row: JumpRow, count: int) -> bool:
-        """Whether a knot of a signal releases a contact, at a time that is the same for all
-        neighbouring runs.
+        """Whether a knot of a signal releases a contact, or ends sliding, at a time that is the
+        same for all neighbouring runs.
 
         Raises
         ------
@@ -427,7 +427,7 @@ class Walk:
         """
         if not self.scene.samples or self.scene.span(row.t)[0] != row.t or guard.kind is Kind.CLOCK:
             return False
-        if guard.kind is Kind.RELEASE and count == 1:
+        if guard.kind in (Kind.RELEASE, Kind.LEAVE) and count == 1:
             return True
         raise OrbitError(
             f"{self.model}, t = {row.t!r}: {guard.edge} fires at a knot of a signal, and for "

@@ -1,0 +1,218 @@
+"""What holds a state may jump or have a corner: a floor that drops, a surface that moves away."""
+
+import math
+
+import attrs
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+from .ways import MECHANISMS
+
+WAYS = MECHANISMS
+
+#: Most steps lose rounding alone, as forces and speeds are constant between the jumps; those of
+#: LSODA lose a few of its tolerances, 1e-8.
+CLOSE = 1e-7
+
+#: Phases and periods of saws. Where a saw drops is a rounded sum, quotient and product: for some
+#: the floor has dropped before the function that tells of it, for some after.
+SAWS = [(0.5, 1.0), (0.3, 0.7), (1.0, 2.3), (0.1, 1.1), (math.pi / 2, math.pi), (0.07, 0.61)]
+
+G, R, SLOPE = 5.0, 0.3, 0.25
+
+#: From a drop of the height 1 until the impacts have come to rest.
+LASTS = math.sqrt(2.0 / G) * (1.0 + R) / (1.0 - R)
+
+
+def body_on(floor):
+    """A class of bodies that fall onto a floor, which is a function of the model and time."""
+
+    class Body(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+        phase = hy.parameter(0.5)
+        period = hy.parameter(1.0)
+
+        @hy.mode
+        def fall(self, t, s):
+            return s.v, -G
+
+        land = hy.contact(fall, gap=lambda self, t, s: s.x - floor(self, t), restitution=R)
+
+    return Body
+
+
+def saw(model, t):
+    """It rises slowly and drops at once."""
+    return SLOPE * jnp.mod(t + model.phase, model.period)
+
+
+OnASaw = body_on(saw)
+
+
+@pytest.mark.parametrize(("phase", "period"), SAWS)
+def test_a_floor_that_drops_leaves_the_body_at_each_drop(way, phase, period):
+    """It falls the height of the drop, and comes to rest after a time that goes with its root."""
+    start, t1 = {"x": SLOPE * phase, "v": SLOPE}, 4.5 * period - phase
+    result = way.run(OnASaw(phase=phase, period=period), start, (0.0, t1), mode="fall.rest(land)")
+    rests = [k * period - phase + LASTS * math.sqrt(SLOPE * period) for k in (1, 2, 3, 4)]
+    expected = [t for t in rests if t < t1]
+    if way.tells("accumulations"):
+        assert result.accumulations == len(expected)
+    told = [limit.t for limit in result.zeno]  # lanes and functions tell the first
+    assert told == pytest.approx(expected[: len(told)], abs=CLOSE)
+
+
+#: Waves with corners that none of the functions has of which they are made, and by parts.
+QUARTER = 0.5 * math.pi
+WAVES = {
+    "asin": (lambda _, t: jnp.arcsin(jnp.sin(t)), lambda _, t: QUARTER - abs(_apart(t - QUARTER))),
+    "acos": (lambda _, t: jnp.arccos(jnp.cos(t)), lambda _, t: abs(_apart(t))),
+    "atan": (
+        lambda _, t: 0.2 * jnp.arctan(jnp.tan(0.5 * t)),
+        lambda _, t: 0.1 * _apart(t),
+    ),
+    "power": (lambda _, t: (jnp.sin(t) ** 2) ** 0.5, lambda _, t: abs(jnp.sin(t))),
+    "root": (lambda _, t: jnp.sqrt(jnp.sin(t) ** 4) ** 0.5, lambda _, t: abs(jnp.sin(t))),
+}
+
+
+def _apart(t):
+    """The distance of an angle to the nearest full turn, with its sign."""
+    return jnp.mod(t + math.pi, 2.0 * math.pi) - math.pi
+
+
+@pytest.mark.parametrize("wave", WAVES)
+def test_a_corner_of_a_floor_is_seen_however_it_is_written(way, wave):
+    """The body at rest is thrown off where the floor bends down, and struck where it bends up."""
+    if wave in ("asin", "acos", "atan") and way.name == "Dopri8":
+        pytest.skip("Diffrax asks JAX for the flow, whose slope of asin(sin(t)) has no value there")
+    start, t, several = {"x": 1.7, "v": 0.0}, (0.1, 9.0), 2
+    own, parts = (way.run(body_on(floor)(), start, t) for floor in WAVES[wave])
+    if way.tells("accumulations"):
+        assert own.accumulations == parts.accumulations >= several
+    assert [limit.t for limit in own.zeno] == pytest.approx([z.t for z in parts.zeno], abs=CLOSE)
+    assert np.allclose([own.final.x, own.final.v], [parts.final.x, parts.final.v], atol=CLOSE)
+
+
+class Follower(hy.Automaton):
+    """Follows a saw at constant speed, slides on it, and counts what it has seen of a clock."""
+
+    x = hy.state()
+    seen = hy.state()
+    phase = hy.parameter(0.3)
+    period = hy.parameter(0.7)
+    speed = hy.parameter(2.5)
+
+    @hy.mode(initial=True)
+    def above(self, t, s):
+        return -self.speed, 0.0
+
+    @hy.mode
+    def below(self, t, s):
+        return self.speed, 0.0
+
+    side = hy.switching(
+        above, below, surface=lambda self, t, s: s.x - jnp.mod(t + self.phase, self.period)
+    )
+
+
+@pytest.mark.parametrize(("phase", "period"), SAWS)
+def test_a_surface_that_jumps_away_is_slid_on_no_longer(way, phase, period):
+    """The state goes back to it from where it was; it slides again a period over 3.5 later."""
+    model, last = Follower(phase=phase, period=period), 3
+    drop = last * period - phase
+    for later, x in ((0.2, 1.0 - 2.5 * 0.2), (0.6, 0.6)):
+        end = drop + later * period
+        result = way.run(model, {"x": phase, "seen": 0.0}, (0.0, end), mode="slide(side)")
+        assert result.final.x == pytest.approx(x * period, abs=CLOSE)
+        if way.tells("edges"):
+            back = [] if later < 1.0 / 3.5 else ["side"]
+            assert (
+                list(result.edges)
+                == ["side.positive", "side"] * (last - 1) + ["side.positive"] + back
+            )
+
+
+class Ticking(hy.Automaton):
+    """A body at rest on a saw, a state that slides on one, and a clock that rings at its drops."""
+
+    x = hy.state()
+    v = hy.state()
+    least = hy.parameter(-1.0)
+
+    @hy.mode(initial=True)
+    def fall(self, t, s):
+        return s.v, -G
+
+    @hy.mode
+    def above(self, t, s):
+        return -2.5, 0.0
+
+    @hy.mode
+    def below(self, t, s):
+        return 2.5, 0.0
+
+    land = hy.contact(fall, gap=lambda self, t, s: s.x - SLOPE * jnp.mod(t, 1.0), restitution=R)
+    side = hy.switching(above, below, surface=lambda self, t, s: s.x - SLOPE * jnp.mod(t, 1.0))
+    rings = hy.edge(fall, to=fall, every=1.0, when=lambda self, t, s: s.x > self.least)
+    sounds = hy.edge(above, to=above, every=1.0, when=lambda self, t, s: s.x > self.least)
+
+
+@pytest.mark.parametrize("later", [0.0, 0.1])
+@pytest.mark.parametrize("least", [-1.0, 1.0])
+@pytest.mark.parametrize("mode", ["fall.rest(land)", "slide(side)"])
+def test_a_run_or_a_clock_may_end_an_arc_where_the_obstacle_jumps(way, mode, least, later):
+    """The state stays where it was, whether the clock fires there or its condition fails; then it
+    falls, or goes down to the surface."""
+    start, end = {"x": 0.5 * SLOPE, "v": SLOPE if "rest" in mode else 0.0}, 3.0 + later
+    result = way.run(Ticking(least=least), start, (0.5, end), mode=mode)
+    falls = (
+        SLOPE * later - 0.5 * G * later**2
+        if "rest" in mode
+        else SLOPE * (later - 1.0)
+        if later
+        else 0.0
+    )
+    assert result.final.x == pytest.approx(SLOPE + falls, abs=CLOSE)
+
+
+class Reference(hy.Automaton):
+    """Goes to a reference value that changes in steps, at constant speed, and stays there."""
+
+    x = hy.state()
+    fast = hy.parameter(2.0)
+    reference = hy.signal(kind="previous", outside="hold")
+
+    @hy.mode(initial=True)
+    def down(self, t, s):
+        return (-self.fast,)
+
+    @hy.mode
+    def up(self, t, s):
+        return (self.fast,)
+
+    reach = hy.switching(down, up, surface=lambda self, t, s: s.x - self.reference(t))
+
+
+def test_a_reference_in_steps_is_followed_by_sliding(way):
+    """At a step of the signal the state leaves the surface to the side on which it then is."""
+    model = Reference(reference=([0.0, 1.0, 2.0], [0.0, 1.0, -0.5]))
+    for end, x in ((0.9, 0.0), (1.2, 0.4), (1.9, 1.0), (2.3, 0.4), (3.0, -0.5)):
+        result = way.run(model, {"x": 0.0}, (0.0, end), mode="slide(reach)")
+        assert result.final.x == pytest.approx(x, abs=CLOSE)
+    if way.tells("edges"):
+        assert list(result.edges) == ["reach.negative", "reach", "reach.positive", "reach"]
+
+
+def test_derivatives_go_on_where_a_reference_steps():
+    """The time of a step is the same for all; ``x = 1 - fast (t - 2)`` behind the second."""
+    model = Reference(reference=([0.0, 1.0, 2.0], [0.0, 1.0, -0.5]))
+    with jax.enable_x64(True):
+        follow = hy.as_function(model, t=(0.0, 2.3), max_jumps=8, mode="slide(reach)")
+        end = lambda fast: follow(attrs.evolve(model, fast=fast), {"x": 0.0}).final.x  # noqa: E731
+        assert float(jax.jacfwd(end)(2.0)) == pytest.approx(-0.3, abs=CLOSE)
