@@ -17,7 +17,7 @@ import math
 from .arrays import AutomatonArrays, Floats, Ints, Left, Matrix, Now, Room
 from .checks import along
 from .clocks import beside, close, ended, wind
-from .contacts import onto
+from .contacts import onto, strays
 from .cuts import beyond_kink, straight, with_cuts
 from .dense import event_along, foreseen
 from .entries import starts
@@ -271,6 +271,8 @@ def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
             now.floats[STEP_END] = next_tau
             along(room.c, next_tau - tau, now.end)
     elif now.ints[PHASE] == LOOKS:
+        if strays(a, run, now, room, now.floats[T] + next_tau):
+            return LOOK
         guard, s, now.ints[CUT] = -1, 0.0, 0
         lose(run, now, room, h, now.floats[AIM] >= 0.0)
         if now.floats[AIM] >= 0.0:

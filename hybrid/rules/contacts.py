@@ -12,7 +12,9 @@ from .arrays import AutomatonArrays, Floats, Now, Room
 from .guards import row_of, sizes_of
 from .jets import OUTPUT, afresh
 from .places import (
+    ABSOLUTE,
     BASE,
+    CONSTRAINED,
     FIELD,
     FIELD_PROGRAM,
     GUARDS,
@@ -23,20 +25,29 @@ from .places import (
     KIND,
     LACKING,
     LACKING_AT,
+    MADE,
     MAKE,
     NONE,
     ONTO_GAPS,
     ONTO_SPEEDS,
     OWN,
     PLAIN,
+    RELATIVE,
     RELEASE,
     REST,
     SURFACE,
     TO,
+    TOLERANCES,
     UNKNOWN,
+    USES,
+    USES_END,
     WANTED,
     T,
 )
+
+#: A step of another solver may leave what holds the state by so many of its tolerances: methods
+#: keep an estimate of their error within one, and are off by a few.
+STRAYS = 64.0
 
 #: A held contact stays closed if gap and gap speed are below this share of the sums of their
 #: absolute terms, at the largest states seen.
@@ -118,6 +129,46 @@ def closed(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float, x: Fl
         return False
     row = row_of(a, program, field, guard)
     return abs(room.aside[row, 0]) <= CLOSED * high and abs(room.aside[row, 1]) <= CLOSED * fast
+
+
+def strays(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) -> bool:
+    """Whether other solvers' steps have left what holds the state by more than they may have lost,
+    where one ends: it may have a corner or a jump that no formula tells."""
+    field, most = now.ints[FIELD], STRAYS * (now.ints[MADE] + 1)
+    if a.fields[field, CONSTRAINED] == 0:
+        return False
+    if a.fields[field, SURFACE] >= 0:
+        if not onto(a, field, t, now.end, room, room.there):
+            return True
+        for i in range(now.end.shape[0]):
+            allowed = run[TOLERANCES + i] + run[RELATIVE] * abs(now.end[i])
+            if not abs(room.there[i] - now.end[i]) <= most * allowed:
+                return True
+        return False
+    for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
+        if a.guards[g, KIND] == RELEASE and opens(a, run, now, room, a.guards[g, REST], t, most):
+            return True
+    return False
+
+
+def opens(
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int, t: float, most: float
+) -> bool:
+    """Whether the gap of a contact held, or its speed, is off zero by more than ``most``
+    tolerances where a step ends. A speed that is less has moved the gap all along the arc."""
+    field, size = a.fields[now.ints[FIELD], BASE], 0.0
+    for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
+        size = max(size, max(now.seen[a.uses[k]], abs(now.end[a.uses[k]])))
+    high, fast, _ = sizes_of(a, room, guard, t, now.end)
+    program = a.fields[field, FIELD_PROGRAM]
+    if size == 0.0 or not high < math.inf:
+        return False
+    if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
+        return True
+    row, share = row_of(a, program, field, guard), run[RELATIVE] + run[ABSOLUTE] / size
+    gap, speed = abs(room.aside[row, 0]), abs(room.aside[row, 1])
+    moved = (t - now.floats[T]) * speed
+    return not (speed <= most * share * fast and gap <= most * share * high + moved)
 
 
 def joined(a: AutomatonArrays, now: Now, room: Room, guard: int) -> int:

@@ -37,6 +37,7 @@ from ..trajectory.plan import Plan
 from ..zeno.flight import falls
 from .border import leaving, within
 from .entry import Entry, departed, describe, expand, heading, opened, side_before
+from .held import hidden_corner
 from .kinked import begin
 from .losses import MAY_HIDE, Losses
 from .pace import Pace
@@ -211,11 +212,29 @@ class ArcFlow:
                 raise FlowError(f"{self._where(start, x)}: {fault}") from None
             if found:
                 fired, last = self._ended(found, stepper, segment, x)
+                self._require_held(last)
                 segments += [*last, *self._past(fired, stepper, segment, length)]
                 break
+            self._require_held([segment])
             segments.append(segment)
             self.orders = [0] * len(self.orders)
         return fired
+
+    def _require_held(self, segments: list[Segment]) -> None:
+        """Refuse a step over a corner of what holds the state that no formula shows."""
+        if self.field.project is None or self.solver.whole:
+            return
+        for segment in segments:
+            allowed = self.plan.limit + self.plan.rtol * np.abs(segment(segment.end))
+            tau = hidden_corner(self.field, self.now.t, segment, allowed)
+            if tau is not None:
+                held = " or ".join(self.field.held)
+                what = f"the gap of {held}" if held else "the surface on which the state slides"
+                raise FlowError(
+                    f"{self._where(tau, segment(tau))}: {what} has a corner or a jump there that "
+                    "its formula does not show (as sqrt(1 - cos(t)) has one); write it with abs, "
+                    "where or mod"
+                )
 
     def _lose(self, start: float, x: StateVector, stepper: Stepper) -> None:
         """Note what a step has lost that began at ``x``."""

@@ -17,7 +17,7 @@ from ..delay.pieces import Piece
 from ..errors import FlowError, JumpLoopError, StartError
 from ..lowering import Field, Guard, Scene, released
 from ..lowering.scene import parted
-from ..rules.contacts import CLOSED
+from ..rules.contacts import CLOSED, STRAYS
 from ..rules.places import PULLED, RISES
 from ..solvers import Solver
 from ..solvers.watchful import Watchful
@@ -30,7 +30,7 @@ from . import clocks, jumps, switch
 from .arc import ArcFlow, Flown
 from .cycles import Cycles
 from .entry import STARTS_OFF, Entry, Jumped, describe, enter, extent, signs_at_end
-from .knots import pass_knot
+from .knots import let_go, pass_knot
 from .losses import Losses
 from .machine import Machine
 from .pace import Pace
@@ -364,12 +364,12 @@ class Driver:
             clock, fired, tied = clocks.rings(self, due, fired, flown)
         by = at_clock and clock is None and fired is None and due < self.plan.t1
         if by or (clock is None and self._passes(fired, flown)):
-            self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
+            end = self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
             if by:
                 self.passed(flown.length)
                 clocks.go_by(self, due, entry.field.along(due, flown.x, ends=True))
             else:
-                self.pass_window(fired, flown.x)
+                self.pass_window(fired, end if entry.field.leans else flown.x)
             return
         x = self.record.arc(
             entry.field, entry.x, flown.x, flown.length, flown.segments, flown.carried
@@ -435,7 +435,12 @@ class Driver:
             return
         signs = signs_at_end(self.entry, t, x, self.reach(x))
         memory.passed(t, x, field, fired.edge if fired else None)
-        self.enter(field.mode, x, Jumped(self.vanishing, field.held, passing=signs))
+        known = self.vanishing
+        if field.leans:  # what is seen of the past may have jumped; windows are as good as steps
+            self.look(x)
+            if let_go(self, t, x, STRAYS * self.losses.share):
+                return
+        self.enter(field.mode, x, Jumped(known, field.held, passing=signs))
 
     def jump(self, guard: Guard, x: StateVector, carried: bool = False) -> None:
         """Carry out the jump of a guard that fired; ``carried``: it jumped over zero."""

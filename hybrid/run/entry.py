@@ -265,31 +265,33 @@ def heading(
     return here.decide(field.guards[index], index, 1)
 
 
-def opened(scene: Scene, mode: str, contact: str, t: float, x: StateVector) -> bool:
+def opened(
+    scene: Scene, mode: str, contact: str, t: float, x: StateVector, lost: float = 0.0
+) -> bool:
     """Whether the gap or gap speed of a contact that was held differs from zero by more than
-    rounding."""
-    gap, speed, noise = _off_zero(scene, scene.field(mode), contact, t, x)
+    rounding, and than a share that may have been ``lost``."""
+    gap, speed, noise = _off_zero(scene, scene.field(mode), contact, t, x, lost)
     return abs(gap) > noise[0] or abs(speed) > noise[1]
 
 
-def departed(scene: Scene, guard: Guard, t: float, x: StateVector) -> bool:
-    """Whether the surface on which a state slid has jumped from it by more than rounding, so that
-    it is now on the side to which a guard leads that ends sliding."""
+def departed(scene: Scene, guard: Guard, t: float, x: StateVector, lost: float = 0.0) -> bool:
+    """Whether the surface on which a state slid has jumped from it by more than that, so that it is
+    now on the side to which a guard leads that ends sliding."""
     switching, _, _ = guard.edge.rpartition(".")
-    value, _, noise = _off_zero(scene, scene.field(guard.to), switching, t, x)
+    value, _, noise = _off_zero(scene, scene.field(guard.to), switching, t, x, lost)
     return value * DIRECTIONS[guard.crossing] > noise[0]
 
 
 def _off_zero(
-    scene: Scene, field: Field, edge: str, t: float, x: StateVector
+    scene: Scene, field: Field, edge: str, t: float, x: StateVector, lost: float
 ) -> tuple[float, float, tuple[float, float]]:
     """A guard and its rate where it was zero, and what rounding makes of each."""
-    guard = field.guards[field.column(edge)]
+    guard, share = field.guards[field.column(edge)], 64 * EPS + lost
     value, rate, _ = guard.lie(t, x.tolist())
     terms = scene.rounding(guard, field)(t, x.tolist())
     late = 64 * float(np.spacing(abs(t)))  # the place at which it leaves zero is known no better
-    slower = 64 * EPS * terms[1] + late * terms[2]
-    return value, rate, (64 * EPS * terms[0] + late * (terms[1] + late * terms[2]), slower)
+    slower = share * terms[1] + late * terms[2]
+    return value, rate, (share * terms[0] + late * (terms[1] + late * terms[2]), slower)
 
 
 def beyond_kinks(

@@ -63,13 +63,14 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
         driver.enter(field.mode, x, Jumped(known, field.held, passing=signs))
 
 
-def let_go(driver: Driver, t: float, x: StateVector) -> bool:
+def let_go(driver: Driver, t: float, x: StateVector, lost: float = 0.0) -> bool:
     """Release the contacts at rest that are open at a time at which what holds the state may have
-    jumped, and leave a surface that it slid on; returns whether there were any."""
+    jumped, and leave a surface that it slid on; returns whether there were any. ``lost``: the share
+    of its terms that a gap may be off for other reasons."""
     field, scene = driver.entry.field, driver.scene
     ends = (guard for guard in field.guards if guard.kind == "leave")
-    gone = next((guard for guard in ends if departed(scene, guard, t, x)), None)
-    open_ = [contact for contact in field.held if opened(scene, field.mode, contact, t, x)]
+    gone = next((guard for guard in ends if departed(scene, guard, t, x, lost)), None)
+    open_ = [contact for contact in field.held if opened(scene, field.mode, contact, t, x, lost)]
     for contact in open_:
         driver.record.released(contact, t)
         _leave(driver, f"{contact}{RELEASE_SUFFIX}", x)

@@ -39,6 +39,12 @@ class Losses:
         self.plan, self.exact, self.seen = plan, exact, seen
         self.tolerances = 0.0
 
+    @property
+    def share(self) -> float:
+        """What the tolerances allow, as a share of the largest of the states seen."""
+        size = float(np.max(self.seen, initial=0.0))
+        return self.plan.rtol + (self.plan.limit / size if size else 0.0)
+
     def note(self, field: Field, t: float, start: float, x: StateVector, stepper: Stepper) -> None:
         """Add what a step has lost that began at a local time, in a state: how far its end is from
         that of series of the flow; where there are none that have converged, a tolerance."""
@@ -73,9 +79,7 @@ class Losses:
     def late(self, error: float, t: float, remaining: float, way: float) -> float:
         """By how much the limit of a sum, so much later, may come too late: at a time it is off by
         an ``error``, and a ``way`` has led there (:func:`hybrid.rules.ties.late_by`)."""
-        size = float(np.max(self.seen, initial=0.0))
-        share = self.plan.rtol + (self.plan.limit / size if size else 0.0)
-        late = late_by(self.tolerances, share, error, t, way)
+        late = late_by(self.tolerances, self.share, error, t, way)
         return min(late, FURTHEST_APART * remaining)
 
     def near(

@@ -99,6 +99,27 @@ def test_a_corner_of_a_floor_is_seen_however_it_is_written(way, wave):
     assert np.allclose([own.final.x, own.final.v], [parts.final.x, parts.final.v], atol=CLOSE)
 
 
+#: Floors with a corner and with a drop at 1 that none of their functions shows.
+HIDDEN = {
+    "corner": lambda _, t: jnp.sqrt(1.0 - jnp.cos(t - 1.0)),
+    "drop": lambda _, t: -0.1 * jnp.arctan(1.0 / jnp.tan(t - 1.0)),
+}
+
+
+@pytest.mark.parametrize("hidden", HIDDEN)
+def test_a_corner_that_no_formula_shows_is_not_gone_over_by_a_body_at_rest(way, hidden):
+    """The run says at which time it is; a run that ends before knows nothing of it."""
+    floor = HIDDEN[hidden]
+    with jax.enable_x64(True):
+        x, v = jax.value_and_grad(lambda t: floor(None, t))(0.2)
+    model, start = body_on(floor)(), {"x": float(x), "v": float(v)}
+    result = way.run(model, start, (0.2, 3.0), mode="fall.rest(land)")
+    assert result.status == "not_finite"
+    if way.tells("run"):
+        assert "t = 1.0" in result.said or "t = 0.99" in result.said
+    assert way.run(model, start, (0.2, 0.9), mode="fall.rest(land)").status == "reached_end"
+
+
 class Follower(hy.Automaton):
     """Follows a saw at constant speed, slides on it, and counts what it has seen of a clock."""
 
@@ -216,3 +237,53 @@ def test_derivatives_go_on_where_a_reference_steps():
         follow = hy.as_function(model, t=(0.0, 2.3), max_jumps=8, mode="slide(reach)")
         end = lambda fast: follow(attrs.evolve(model, fast=fast), {"x": 0.0}).final.x  # noqa: E731
         assert float(jax.jacfwd(end)(2.0)) == pytest.approx(-0.3, abs=CLOSE)
+
+
+class Late(hy.Automaton):
+    """A body on a platform, or a state that slides on a surface, whose height is that of a while
+    ago; a clock changes it."""
+
+    x = hy.state()
+    v = hy.state()
+    height = hy.state()
+    step = hy.parameter(-0.3)
+
+    @hy.mode(initial=True)
+    def fall(self, t, s, past):
+        return s.v, -G, 0.0 * s.height
+
+    @hy.mode
+    def above(self, t, s, past):
+        return -1.0, 0.0, 0.0 * s.height
+
+    @hy.mode
+    def below(self, t, s, past):
+        return 1.0, 0.0, 0.0 * s.height
+
+    land = hy.contact(fall, gap=lambda self, t, s, past: s.x - past(0.5).height, restitution=R)
+    side = hy.switching(above, below, surface=lambda self, t, s, past: s.x - past(0.5).height)
+
+    @hy.edge(fall, to=fall, at=1.0)
+    def changes(self, t, s):
+        return s.x, s.v, s.height + self.step
+
+    @hy.edge(above, to=above, at=1.0)
+    def moves(self, t, s):
+        return s.x, s.v, s.height + self.step
+
+
+@pytest.mark.parametrize("mode", ["fall.rest(land)", "slide(side)"])
+def test_what_jumps_a_while_ago_leaves_the_state_where_it_is(way, mode):
+    """The platform drops half a second after the clock has rung, and so does the surface."""
+    start = {"x": 0.0, "v": 0.0, "height": 0.0}
+    for end, fallen in ((1.5, 0.0), (1.6, 0.5 * G * 0.01 if "rest" in mode else 0.1), (2.9, 0.3)):
+        result = way.run(Late(), start, (0.0, end), mode=mode, history=start)
+        assert result.final.x == pytest.approx(-fallen, abs=CLOSE)
+    if "rest" in mode:
+        assert result.t_inf == pytest.approx(1.5 + LASTS * math.sqrt(0.3), abs=CLOSE)
+
+
+def test_a_platform_that_jumps_up_into_the_body_is_an_error(way):
+    start = {"x": 0.0, "v": 0.0, "height": 0.0}
+    options = {"mode": "fall.rest(land)", "history": start}
+    assert way.run(Late(step=0.1), start, (0.0, 2.0), **options).status == "refused"
