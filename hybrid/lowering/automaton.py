@@ -272,8 +272,7 @@ class Tables:
             return not field.leaps
         if guard.kind is not Kind.RELEASE:
             return True
-        free = self.scene.field(field.mode)
-        return not free.guard(guard.edge.removesuffix(RELEASE_SUFFIX)).kinks
+        return not self.scene.moved_by(field, guard.edge.removesuffix(RELEASE_SUFFIX))
 
     def _lead(self, field: Field, guard: Guard) -> str:
         """Name of the field to which a guard leads; a jump within the mode keeps all contacts held.

@@ -201,12 +201,12 @@ class Field:
 
     @cached_property
     def leaps(self) -> bool:
-        """Whether the gap of a contact held here, or the surface on which the state slides, may
-        jump."""
-        owners = [self.scene.field(self.mode).guard(name) for name in self.held]
+        """Whether the gap of a contact held here or its speed, or the surface on which the state
+        slides, may jump."""
         ends = (guard for guard in self.guards if guard.kind is Kind.LEAVE)
-        owners += [self.scene.field(g.to).guard(g.edge.rpartition(".")[0]) for g in ends]
-        return any(guard.jumps for guard in owners)
+        owners = (self.scene.field(g.to).guard(g.edge.rpartition(".")[0]) for g in ends)
+        moves = any(self.scene.moved_by(self, contact) for contact in self.held)
+        return moves or any(guard.jumps for guard in owners)
 
     @property
     def closed(self) -> Any:

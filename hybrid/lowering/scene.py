@@ -230,6 +230,12 @@ class Scene:
             for number, (program, *shape) in enumerate(found)
         )
 
+    def moved_by(self, field: Field, contact: str) -> tuple[Kink, ...]:
+        """Where the gap of a contact, or its speed, changes its formula: there the contact may be
+        moved away from a body at rest."""
+        nodes = lambda g: [g.contact(contact).gap, g.contact(contact).speed]  # noqa: E731
+        return self._kinks(field.mode, field.held, f"{contact} moves", nodes)
+
     def numbers(self, mode: str, held: tuple[str, ...]) -> tuple[float, ...]:
         """The parameter values, then the mask of a mode's held contacts."""
         return (*self.values, *self.code.mode(mode).masked(held))

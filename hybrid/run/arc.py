@@ -180,10 +180,12 @@ class ArcFlow:
 
     def _begin_guards(self) -> None:
         """Note the values of guards that are not zero at the start. Dense output is exact there
-        only to the rounding of the whole step, in which a small value would lose its sign."""
+        only to the rounding of the whole step, in which a small value would lose its sign. At a
+        kink that is the value behind it, but what holds the state is looked at on both sides."""
         t, x = self.now.t, self.x.tolist()
         for guard, order in zip(self.field.guards, self.orders, strict=True):
-            if not order and all(kink.value(t, x) for kink in guard.kinks):
+            holds = guard.kind in ("release", "leave")
+            if not order and (holds or all(kink.value(t, x) for kink in guard.kinks)):
                 self.ends[guard.edge] = guard.value(t, x)
 
     def _steps(

@@ -287,3 +287,72 @@ def test_a_platform_that_jumps_up_into_the_body_is_an_error(way):
     start = {"x": 0.0, "v": 0.0, "height": 0.0}
     options = {"mode": "fall.rest(land)", "history": start}
     assert way.run(Late(step=0.1), start, (0.0, 2.0), **options).status == "refused"
+
+
+def on_a_lift(speed):
+    """A body on a platform of which the flow gives the speed, by the model, time and state."""
+
+    class Lift(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+        y = hy.state()
+        up = hy.discrete(1.0)
+        planned = hy.signal(kind="previous", outside="hold")
+
+        @hy.mode
+        def ride(self, t, s):
+            return s.v, -G, speed(self, t, s)
+
+        land = hy.contact(ride, gap=lambda self, t, s: s.x - s.y, restitution=R)
+
+        @hy.edge(ride, to=ride, at=1.0)
+        def turns(self, t, s):
+            return s.replace(up=-s.up)
+
+    return Lift(planned=([0.0, 1.0], [0.5, -0.5]))
+
+
+#: Speeds of a lift that goes up by a half and turns at 1.
+SPEEDS = {
+    "time": lambda _, t, s: jnp.where(t < 1.0, 0.5, -0.5),
+    "wave": lambda _, t, s: 0.5 * jnp.sign(jnp.cos(0.5 * jnp.pi * t)),
+    "clock": lambda _, t, s: 0.5 * s.up,
+    "signal": lambda self, t, s: self.planned(t),
+}
+
+#: The body is thrown off at a relative speed of 1, which the first impact has as well.
+AT_REST_AGAIN = 1.0 + 2.0 / G * (1.0 + R / (1.0 - R))
+
+
+@pytest.mark.parametrize("turned", SPEEDS)
+def test_a_lift_whose_speed_jumps_throws_the_body_off(way, turned):
+    start = {"x": 0.0, "v": 0.5, "y": 0.0, "up": 1.0}
+    result = way.run(on_a_lift(SPEEDS[turned]), start, (0.0, 1.9), mode="ride.rest(land)")
+    assert result.t_inf == pytest.approx(AT_REST_AGAIN, abs=CLOSE)
+    assert result.final.x == pytest.approx(0.5 - 0.5 * 0.9, abs=CLOSE)
+
+
+class LateLift(hy.Automaton):
+    """A lift that turns half a second after it has passed a height."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+
+    @hy.mode
+    def ride(self, t, s, past):
+        return s.v, -G, jnp.where(past(0.5).y > 0.25, -0.5, 0.5)
+
+    land = hy.contact(ride, gap=lambda self, t, s: s.x - s.y, restitution=R)
+
+
+def test_a_lift_that_sees_where_it_was_throws_the_body_off_each_time_it_turns_down(way):
+    """It is seen above a quarter from 1 to 2; where it turns up, at 2, the body is struck."""
+    start = {"x": 0.0, "v": 0.5, "y": 0.0}
+    result = way.run(LateLift(), start, (0.0, 2.9), mode="ride.rest(land)", history=start)
+    struck = 2.0 + 2.0 * R / G / (1.0 - R)
+    if way.tells("accumulations"):
+        assert result.accumulations == 2
+    expected = [AT_REST_AGAIN, struck][: len(result.zeno)]
+    assert [limit.t for limit in result.zeno] == pytest.approx(expected, abs=CLOSE)
+    assert result.final.x == pytest.approx(0.45, abs=CLOSE)
