@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.numpy import mod
 
 import hybrid as hy
 from hybrid.automaton.captured import captured, may_vary
@@ -187,3 +188,20 @@ def test_only_what_may_vary_is_traced_twice():
     model = ball(lambda s: -jnp.sqrt(s.v**2 + np.pi))
     assert not may_vary(model, model.spec.modes[0].flow)
     assert {found.name for found in captured(model, model.spec.modes[0].flow)} >= {"flow", "jnp"}
+
+
+def test_what_a_function_of_jax_reads_is_no_part_of_a_model():
+    """One that is imported by its own name is jitted, and JAX keeps state that changes with use."""
+    run = lambda **options: hy.simulate(Driven(), {"x": 1.0}, (0.0, 1.0), **options)  # noqa: E731
+    first = run().final.x
+    assert run(solver="diffrax").final.x == pytest.approx(first, rel=1e-7)  # its own tolerance
+    assert run().final.x == first
+
+
+class Driven(hy.Automaton):
+    x = hy.state()
+    period = hy.parameter(0.4)
+
+    @hy.mode
+    def flow(self, t, s):
+        return (mod(t, self.period) - s.x,)

@@ -17,8 +17,11 @@ from typing import Any
 import attrs
 import numpy as np
 
+#: Packages whose functions, written in Python, read what is no part of a model.
+LIBRARIES = ("jax", "numpy")
+
 #: Packages whose functions are taken to be pure ...
-PURE = ("jax", "math", "cmath", "numpy", "builtins", "operator", "functools", "hybrid")
+PURE = (*LIBRARIES, "math", "cmath", "builtins", "operator", "functools", "hybrid")
 
 #: ... except those with this in their names.
 RANDOM = "random"
@@ -129,6 +132,8 @@ def _reads(
     if not isinstance(function, types.FunctionType) or id(function) in seen:
         return
     seen.add(id(function))
+    if _module(function).split(".")[0] in LIBRARIES:
+        return
     found: list[tuple[str, type | None]] = [(name, None) for name in _outer_names(function)]
     found += [(name, cls) for name in _all_names(function.__code__) if _is_attribute(cls, name)]
     for name, owner in found:

@@ -181,7 +181,7 @@ class Field:
         if not (ends and self.leaps):
             return project(t, x)
         back = JUMPS_WITHIN * float(np.spacing(abs(t)))
-        flow = back * np.array(self.rhs(t - back, x))
+        flow = back * np.array(self.rhs(t - back, list(project(t - back, x))))
         return tuple((np.array(project(t - back, (x - flow).tolist())) + flow).tolist())
 
     def _projection(self, t: float) -> Scalar:

@@ -160,7 +160,7 @@ def on_surface(
     """
     guard = now.ints[FIRED]
     to, own, slides = a.guards[guard, TO], a.guards[guard, AT], a.guards[guard, REST]
-    if own < UNKNOWN:
+    if own < UNKNOWN or (a.guards[guard, KIND] == SWITCH and beyond(a, now, guard)):
         return JUMP, to, own, 0
     if own == UNKNOWN or to == UNKNOWN:
         return asks(now, guard, AT if own == UNKNOWN else TO), to, own, 0

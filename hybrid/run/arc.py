@@ -635,13 +635,13 @@ class ArcFlow:
         return opened(self.scene, self.field.mode, released(guard.edge), t, x)
 
     def _onto(self, cut: Cut | None, segment: Segment, tau: float, x: StateVector) -> StateVector:
-        """The state on the contacts held, or on the surface on which it slides. At a cut these may
-        jump: there it is on them as they were just before, and has gone on from there."""
+        """The state on the contacts held, or on the surface on which it slides. At a cut of a step
+        these may jump: there it is on them as they were just before, and has gone on from there."""
         t = self.now.t + tau
         if cut is None or self.field.project is None:
             return self.field.along(t, x)
         back = (cut.after - cut.before) * segment.length
-        flow = np.array(self.field.rhs(t - back, x.tolist()))
+        flow = np.array(self.field.rhs(t - back, self.field.along(t - back, x).tolist()))
         return self.field.along(t - back, x - back * flow) + back * flow
 
     def _past(
@@ -808,7 +808,7 @@ class ArcFlow:
 
         ``again``: whether the step has been ended before.
         """
-        tau = fired.tau
+        tau, step = fired.tau, segment
         start, longest = segment.start, 1e-6 * segment.length
         small = 1e-6 * (tau - start)
         least = start + TIE * float(np.spacing(abs(self.now.t) + start))
@@ -826,7 +826,7 @@ class ArcFlow:
                 segment = stepper.land(tau)
             for _ in range(LANDINGS):
                 t = self.now.t + stepper.tau
-                x = self._onto(fired.cut, segment, stepper.tau, stepper.x)
+                x = self._onto(fired.cut, step, stepper.tau, stepper.x)
                 value, shift, exact = self._missing(fired, t, x.tolist())
                 if abs(shift) <= small or exact:
                     break
@@ -845,7 +845,7 @@ class ArcFlow:
             raise FlowError(f"{self._where(tau)}: {fault}") from None
         if not abs(shift) <= small or stepper.tau + shift > last:
             return segment
-        stepper.x = self._onto(fired.cut, segment, stepper.tau, stepper.x)
+        stepper.x = self._onto(fired.cut, step, stepper.tau, stepper.x)
         flow = np.array(self.field.rhs(self.now.t + stepper.tau, stepper.x.tolist()))
         if fired.cut is not None:
             shift = self._short_of(fired.cut, stepper, shift, flow)

@@ -282,6 +282,12 @@ def departed(scene: Scene, guard: Guard, t: float, x: StateVector, lost: float =
     return value * DIRECTIONS[guard.crossing] > noise[0]
 
 
+def jumped_over(scene: Scene, field: Field, guard: Guard, t: float, x: StateVector) -> bool:
+    """Whether a guard that has fired is beyond zero by more than rounding."""
+    value, _, noise = _off_zero(scene, field, guard.edge, t, x, 0.0)
+    return value * DIRECTIONS[guard.crossing] > noise[0]
+
+
 def _off_zero(
     scene: Scene, field: Field, edge: str, t: float, x: StateVector, lost: float
 ) -> tuple[float, float, tuple[float, float]]:

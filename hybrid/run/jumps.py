@@ -13,7 +13,7 @@ import numpy as np
 from ..automaton.chance import DRAWS
 from ..automaton.markers import TERMINATE
 from ..bounds.defect import follows
-from ..errors import FlowError, JumpLoopError
+from ..errors import DomainError, FlowError, JumpLoopError
 from ..lowering import Contact, Field, Guard, released
 from ..rules import unit
 from ..rules.guards import GUARD_ROUNDING, NEAR
@@ -24,7 +24,7 @@ from ..trajectory.trajectory import Status
 from ..zeno.accumulate import hop
 from . import clocks, switch
 from .accumulations import accumulate
-from .entry import Entry, Jumped, before_impact, beyond_kinks, opened
+from .entry import Entry, Jumped, before_impact, beyond_kinks, jumped_over, opened
 from .limits import pass_limit
 from .noting import add_jump
 
@@ -39,11 +39,11 @@ def carry_out(driver: Driver, guard: Guard, x: StateVector, carried: bool = Fals
         signs.pop(guard.edge, None)
     driver.spent |= {guard.edge} | clocks.failing(driver, x)
     if guard.kind == "contact":
-        _impact(driver, guard, x)
+        _impact(driver, guard, x, carried)
     elif guard.kind == "release":
         _release(driver, guard, x, carried)
     elif guard.kind == "switch":
-        switch.meet(driver, guard, x)
+        switch.meet(driver, guard, x, carried)
     elif guard.kind == "leave":
         switch.leave(driver, guard, x, carried)
     elif guard.kind == "window":
@@ -109,7 +109,13 @@ def _release(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> Non
     driver.enter(field.mode, x, Jumped(known, held))
 
 
-def _impact(driver: Driver, guard: Guard, x: StateVector) -> None:
+def _impact(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
+    if carried and jumped_over(driver.scene, driver.entry.field, guard, driver.t, x):
+        gap = guard.value(driver.t, x.tolist())
+        raise DomainError(
+            f"{driver.where(x)}: the gap of {guard.edge} jumps to {gap:.6g}, and the state does "
+            "not; a gap must not jump below zero"
+        )
     contact = driver.scene.contact(guard.edge)
     before = np.array(contact.land(driver.t, x.tolist()))
     driver.record.end_on(before)

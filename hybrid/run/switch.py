@@ -11,7 +11,7 @@ from ..lowering import Field, Guard
 from ..lowering.automaton import DIRECTIONS
 from ..rules import unit
 from ..rules.switches import CROSSES, UNSETTLED
-from .entry import Jumped, departed, heading
+from .entry import Jumped, departed, heading, jumped_over
 from .limits import pass_limit
 from .noting import add_jump
 
@@ -20,8 +20,16 @@ if TYPE_CHECKING:
     from .driver import Driver
 
 
-def meet(driver: Driver, guard: Guard, x: StateVector) -> None:
-    """Reach the surface of a switching: enter the other mode, or slide."""
+def meet(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
+    """Reach the surface of a switching: enter the other mode, or slide. One that has jumped over
+    the state (``carried``) is crossed."""
+    scene, here = driver.scene, driver.entry.field
+    slides = scene.spec.sliding(here.mode) is not None
+    if carried and not slides and jumped_over(scene, here, guard, driver.t, x):
+        driver.watch.reset()
+        if not (add_jump(driver, guard.edge, x, x) and pass_limit(driver, guard.to)):
+            driver.enter(guard.to, x, Jumped())
+        return
     mode = onward(driver, guard, x)
     field = driver.scene.field(mode)
     if field.project is not None:

@@ -356,3 +356,48 @@ def test_a_lift_that_sees_where_it_was_throws_the_body_off_each_time_it_turns_do
     expected = [AT_REST_AGAIN, struck][: len(result.zeno)]
     assert [limit.t for limit in result.zeno] == pytest.approx(expected, abs=CLOSE)
     assert result.final.x == pytest.approx(0.45, abs=CLOSE)
+
+
+class Stepped(hy.Automaton):
+    """A state that goes to a surface, and a body that falls onto a floor, which step at 1."""
+
+    x = hy.state()
+    y = hy.state()
+    to = hy.parameter(0.5)
+
+    @hy.mode(initial=True)
+    def above(self, t, s):
+        return -1.0, 1.0
+
+    @hy.mode
+    def below(self, t, s):
+        return 1.0, 3.0
+
+    @hy.mode
+    def fall(self, t, s):
+        return s.y, -1.0
+
+    side = hy.switching(
+        above, below, surface=lambda self, t, s: s.x - jnp.where(t < 1.0, 0.0, self.to)
+    )
+    land = hy.contact(
+        fall, gap=lambda self, t, s: s.x - jnp.where(t < 1.0, 0.0, self.to), restitution=R
+    )
+
+
+def test_a_surface_that_steps_over_the_state_does_not_move_it(way):
+    """The state crosses where it is, and comes to the surface from the other side later."""
+    result = way.run(Stepped(), {"x": 1.2, "y": 0.0}, (0.0, 1.1), mode="above")
+    assert (result.final.x, result.final.y) == pytest.approx((0.3, 1.3), abs=CLOSE)
+    later = way.run(Stepped(), {"x": 1.2, "y": 0.0}, (0.0, 1.6), mode="above")
+    assert later.final.x == pytest.approx(0.5, abs=CLOSE)
+    if way.tells("edges"):
+        assert list(later.edges) == ["side", "side"]
+
+
+def test_a_floor_that_steps_up_over_a_body_in_flight_is_an_error(way):
+    """As it is over one at rest: the body is at 0.1, and the floor then at 0.5."""
+    start = {"x": 0.6, "y": 0.0}
+    assert way.run(Stepped(), start, (0.0, 2.0), mode="fall").status == "refused"
+    lower = way.run(Stepped(to=0.05), start, (0.0, 1.04), mode="fall")
+    assert lower.final.x == pytest.approx(0.6 - 0.5 * 1.04**2, abs=CLOSE)
