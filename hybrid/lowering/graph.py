@@ -159,9 +159,9 @@ class Graph:
             folded = fold(op, values)
             if folded is not None:
                 return ("const", folded, repr(folded))
-        if op == "sqrt" and (root := self.root(arguments[0])) is not None:
-            return self._simplify(("abs", root))
-        if op == "abs" and self.root(arguments[0]) is not None:
+        if op == "sqrt" and (size := self.squared(arguments[0])) is not None:
+            return self._simplify(("abs", size))
+        if op == "abs" and self.squared(arguments[0]) is not None:
             return (arguments[0],)
         if op in INVERSES and (angle := self.nodes[arguments[0]])[0] == INVERSES[op]:
             return (self._folded(op, angle[1]),)
@@ -175,9 +175,9 @@ class Graph:
                     return self._simplify(("ge" if inner == "max" else "le", a, other))
         return _identity(op, arguments, values, self.exact) or key
 
-    def root(self, number: int) -> int | None:
+    def squared(self, number: int) -> int | None:
         """The node of which this one is the square; None if it is none. Roots of squares are read
-        as sizes, which show that they have a corner at zero."""
+        as absolute values, which show that they have a corner at zero."""
         op, *factors = self.nodes[number]
         return factors[0] if op == "mul" and factors[0] == factors[1] else None
 

@@ -220,12 +220,12 @@ def _power(graph: Graph, params: Any, x: Ids, y: Ids) -> Ids:
     ``exp(y log x)`` where it moves, so that it has one at all."""
 
     def power(base: int, exponent: int) -> int:
-        value, root = graph.value(exponent), graph.root(base)
-        if root is not None and not graph.moves(exponent):
-            twice = graph.node("mul", graph.const(2.0), exponent)
-            return power(graph.node("abs", root), twice)
+        value, inner = graph.value(exponent), graph.squared(base)
         if value is not None and value == round(value) and abs(value) <= WRITTEN_POWER:
             return int(_integer_pow(graph, {"y": round(value)}, np.array(base)))
+        if inner is not None and not graph.moves(exponent):
+            twice = graph.node("mul", graph.const(2.0), exponent)
+            return power(graph.node("abs", inner), twice)
         if not graph.moves(exponent):
             return graph.node("pow", base, exponent)
         return graph.node("exp", graph.node("mul", exponent, graph.node("log", base)))

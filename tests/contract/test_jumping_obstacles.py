@@ -89,10 +89,11 @@ def _apart(t):
 @pytest.mark.parametrize("wave", WAVES)
 def test_a_corner_of_a_floor_is_seen_however_it_is_written(way, wave):
     """The body at rest is thrown off where the floor bends down, and struck where it bends up."""
-    if wave in ("asin", "acos", "atan") and way.name == "Dopri8":
-        pytest.skip("Diffrax asks JAX for the flow, whose slope of asin(sin(t)) has no value there")
     start, t, several = {"x": 1.7, "v": 0.0}, (0.1, 9.0), 2
     own, parts = (way.run(body_on(floor)(), start, t) for floor in WAVES[wave])
+    if wave in ("asin", "acos") and way.name == "Dopri8":
+        assert own.status == "not_finite"  # JAX gives Diffrax a slope that has no value there
+        return
     if way.tells("accumulations"):
         assert own.accumulations == parts.accumulations >= several
     assert [limit.t for limit in own.zeno] == pytest.approx([z.t for z in parts.zeno], abs=CLOSE)
