@@ -269,10 +269,11 @@ def sinc(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
 
 def divided(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
     """``mod`` and ``floor_divide`` by ``floor`` alone; None where an equation is neither, is of
-    integers, or also asks for the derivative. As JAX writes them they ask for the sign of a
-    remainder, which only touches zero."""
+    integers, or is differentiated, with rates among its inputs. As JAX writes them they ask for the
+    sign of a remainder, which only touches zero."""
     name = next((n for n in ("remainder", "floor_divide") if of_jax(equation, n)), None)
-    if name is None or len(equation.outvars) != 1 or equation.outvars[0].aval.dtype.kind != "f":
+    alone = len(inputs) == 2 and len(equation.outvars) == 1
+    if name is None or not alone or equation.outvars[0].aval.dtype.kind != "f":
         return None
     x, y = inputs
     whole = mapped(graph, "floor", [mapped(graph, "div", [x, y])])

@@ -67,6 +67,22 @@ def test_a_floor_that_drops_leaves_the_body_at_each_drop(way, phase, period):
     assert told == pytest.approx(expected[: len(told)], abs=CLOSE)
 
 
+OnStairs = body_on(lambda model, t: -SLOPE * ((t + model.phase) // model.period))
+
+
+@pytest.mark.parametrize(("phase", "period"), SAWS)
+def test_stairs_that_go_down_leave_the_body_at_each_step(way, phase, period):
+    """It falls the height of a step, and rests until the next if there is time."""
+    model, end = OnStairs(phase=phase, period=2.0 * period), 4.5 * period - phase
+    result = way.run(model, {"x": 0.0, "v": 0.0}, (0.0, end), mode="fall.rest(land)")
+    rests = [2.0 * k * period - phase + LASTS * math.sqrt(SLOPE) for k in (1, 2)]
+    expected = [t for k, t in enumerate(rests) if t < min(end, 2.0 * (k + 2) * period - phase)]
+    if way.tells("accumulations"):
+        assert result.accumulations == len(expected)
+    told = [limit.t for limit in result.zeno]
+    assert told == pytest.approx(expected[: len(told)], abs=CLOSE)
+
+
 #: Waves with corners that none of the functions has of which they are made, and by parts.
 QUARTER = 0.5 * math.pi
 WAVES = {
