@@ -181,8 +181,12 @@ class Field:
         if not (ends and self.leaps):
             return project(t, x)
         back = JUMPS_WITHIN * float(np.spacing(abs(t)))
+        return tuple(self._since(project, t, x, back).tolist())
+
+    def _since(self, project: Scalar, t: float, x: list[float], back: float) -> np.ndarray:
+        """The state on what holds it as that was so long before, and as the flow has gone on."""
         flow = back * np.array(self.rhs(t - back, list(project(t - back, x))))
-        return tuple((np.array(project(t - back, (x - flow).tolist())) + flow).tolist())
+        return np.array(project(t - back, (x - flow).tolist())) + flow
 
     def _projection(self, t: float) -> Scalar:
         """The projection with the piece of the signals of a time, over whose knots arcs may go."""
@@ -192,12 +196,18 @@ class Field:
             self._made["onto"] = (*self.scene.span(t), there)
         return there
 
-    def along(self, t: float, x: StateVector, ends: bool = False) -> np.ndarray:
-        """The state on the held contacts or the surface, if there are any (:meth:`onto`)."""
+    def along(self, t: float, x: StateVector, back: float = 0.0) -> np.ndarray:
+        """The state on the held contacts or the surface, if there are any. With ``back`` as these
+        were so long before, and as the flow has gone on since."""
         if self.project is None:
             return x
-        on = self.onto(float(t), x.tolist(), True) if ends else self.project(float(t), x.tolist())
-        return np.array(on)
+        if back:
+            return self._since(self.project, float(t), x.tolist(), back)
+        return np.array(self.project(float(t), x.tolist()))
+
+    def at_end(self, t: float, x: StateVector) -> np.ndarray:
+        """The same at the end of a stretch (see :meth:`onto`)."""
+        return x if self.project is None else np.array(self.onto(float(t), x.tolist(), True))
 
     @cached_property
     def leaps(self) -> bool:

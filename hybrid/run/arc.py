@@ -637,12 +637,8 @@ class ArcFlow:
     def _onto(self, cut: Cut | None, segment: Segment, tau: float, x: StateVector) -> StateVector:
         """The state on the contacts held, or on the surface on which it slides. At a cut of a step
         these may jump: there it is on them as they were just before, and has gone on from there."""
-        t = self.now.t + tau
-        if cut is None or self.field.project is None:
-            return self.field.along(t, x)
-        back = (cut.after - cut.before) * segment.length
-        flow = np.array(self.field.rhs(t - back, self.field.along(t - back, x).tolist()))
-        return self.field.along(t - back, x - back * flow) + back * flow
+        back = 0.0 if cut is None else (cut.after - cut.before) * segment.length
+        return self.field.along(self.now.t + tau, x, back)
 
     def _past(
         self, fired: Fired, stepper: Stepper, segment: Segment, length: float

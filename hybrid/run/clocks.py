@@ -103,7 +103,7 @@ def rings(
     rings; else the guard that fires there: of those that are zero at one time that of the edge
     declared first (4). Then whether that time is the clock's."""
     end, field = driver.record.now.after(flown.length), driver.entry.field
-    clock = first(driver, t, field.along(t, flown.x, ends=True))
+    clock = first(driver, t, field.at_end(t, flown.x))
     if fired is not None and not is_zero(driver, fired, end, flown.x, t):
         return None, fired, False
     there = (g for g in field.guards if g is fired or is_zero(driver, g, end, flown.x, t))

@@ -367,7 +367,7 @@ class Driver:
             end = self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
             if by:
                 self.passed(flown.length)
-                clocks.go_by(self, due, entry.field.along(due, flown.x, ends=True))
+                clocks.go_by(self, due, entry.field.at_end(due, flown.x))
             else:
                 self.pass_window(fired, end if entry.field.leans else flown.x)
             return

@@ -278,14 +278,20 @@ def departed(scene: Scene, guard: Guard, t: float, x: StateVector, lost: float =
     """Whether the surface on which a state slid has jumped from it by more than that, so that it is
     now on the side to which a guard leads that ends sliding."""
     switching, _, _ = guard.edge.rpartition(".")
-    value, _, noise = _off_zero(scene, scene.field(guard.to), switching, t, x, lost)
-    return value * DIRECTIONS[guard.crossing] > noise[0]
+    return _beyond(scene, scene.field(guard.to), switching, guard, t, x, lost)
 
 
 def jumped_over(scene: Scene, field: Field, guard: Guard, t: float, x: StateVector) -> bool:
     """Whether a guard that has fired is beyond zero by more than rounding."""
-    value, _, noise = _off_zero(scene, field, guard.edge, t, x, 0.0)
-    return value * DIRECTIONS[guard.crossing] > noise[0]
+    return _beyond(scene, field, guard.edge, guard, t, x, 0.0)
+
+
+def _beyond(
+    scene: Scene, field: Field, edge: str, fires: Guard, t: float, x: StateVector, lost: float
+) -> bool:
+    """Whether the guard of an edge is off zero in the direction in which another one fires."""
+    value, _, noise = _off_zero(scene, field, edge, t, x, lost)
+    return value * DIRECTIONS[fires.crossing] > noise[0]
 
 
 def _off_zero(

@@ -52,7 +52,7 @@ def _off(field: Field, t: float, segment: Segment, begin: float, end: float) -> 
     """How far the state on what holds it goes otherwise, in a part of a step, than the flow."""
     middle, half = 0.5 * (begin + end), 0.5 * (end - begin)
     first = field.along(t + begin, segment(begin))
-    last = field.along(t + end, segment(end), ends=True)
+    last = field.at_end(t + end, segment(end))
     rates = [_rate(field, t + tau, segment(tau)) for tau in middle + half * GAUSS_PLACES]
     return np.abs(last - first - half * (GAUSS_WEIGHTS @ np.array(rates)))
 

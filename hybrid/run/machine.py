@@ -602,7 +602,7 @@ class Machine:
         """Whether one of the clocks that ring where the arc ends fires."""
         self._come_to_piece()
         driver = self.driver
-        end = driver.entry.field.along(due, self.now.end, ends=True)
+        end = driver.entry.field.at_end(due, self.now.end)
         return clocks.first(driver, due, end) is not None
 
     def _arc(

@@ -136,7 +136,7 @@ class Recorder:
         if not (kept or (self.memory is not None and not self.memory.told)):
             segments = ()
         if field.project is not None:
-            last = field.along(self.now.t + length, last, ends=True) if length > 0.0 else last
+            last = field.at_end(self.now.t + length, last) if length > 0.0 else last
             segments = [projected(s, self.now.t, field.onto) for s in segments]
         if self.memory is not None:
             self.memory.flown(self.now, segments)
