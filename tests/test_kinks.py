@@ -172,3 +172,39 @@ def test_a_saw_of_a_square_is_passed_by_taylor_series():
     )
     assert run.stats.steps < 20
     assert abs(run.final.v - other.final.v) < 1e-12
+
+
+WAVES = {
+    "square": lambda a, t: jnp.sign(a.height * jnp.sin(a.w * t + a.phase)),
+    "ramps": lambda a, t: jnp.abs(jnp.sin(a.w * t + a.phase)),
+    "saw": lambda a, t: jnp.mod(a.w * t + a.phase, 2.0 * jnp.pi) / jnp.pi,
+    "halves": lambda a, t: jnp.where(jnp.mod(t + a.phase / a.w, 1.0) < 0.5, 1.0, -1.0),
+}
+
+
+@pytest.mark.parametrize("wave", list(WAVES))
+@pytest.mark.parametrize("half", [-3, 1, 2, 11, 50])
+def test_a_wave_may_begin_at_its_corner(wave, half):
+    """At t = 0 a phase of half a period is rounded by far more than the time: the corner lies
+    1e-17 to 1e-14 ahead or behind, and the wave itself changes there by rounding."""
+
+    class Waved(hy.Automaton):
+        x = hy.state()
+        w = hy.parameter(2.0 * np.pi)
+        phase = hy.parameter(0.0)
+        height = hy.parameter(3.0)
+
+        @hy.mode
+        def only(self, t, s):
+            return WAVES[wave](self, t)
+
+    run = hy.simulate(Waved(phase=half * np.pi), {"x": 0.0}, (0.0, 2.25), solver="taylor")
+    begun = 0.5 * (half % 2)  # in periods
+    ahead = (2.25 + begun) % 1.0
+    exact = {
+        "square": 0.25 - begun,
+        "halves": 0.25 - begun,
+        "ramps": 4.5 / np.pi,
+        "saw": 2.0 + ahead**2 - begun**2,
+    }
+    assert abs(run.final.x - exact[wave]) < 1e-13  # of phases to 160, whose rounding is 2e-14

@@ -24,7 +24,7 @@ from .guards import (
     sizes_of,
 )
 from .jets import KINKS, afresh
-from .kinks import KINK_KIND, KINK_ROW, POINT, SWITCHES, crossed_to
+from .kinks import KINK_KIND, POINT, SWITCHES, crossed_to, kink_row
 from .places import (
     BENDS,
     BEYOND_BY,
@@ -96,7 +96,7 @@ def with_cuts(
         return -1, 0.0, 0.0
     if first != NONE:
         kink = now.ints[CROSSED]
-        now.ints[CUT] = crossed_to(room.c, kink_row(a, program, kink), room.sides[kink])
+        now.ints[CUT] = crossed_to(room.c, kink_row(a.programs, program, kink), room.sides[kink])
         return first, h, 0.0
     if guard >= 0 or not several:
         return guard, s, 0.0
@@ -111,12 +111,6 @@ def any_bends(a: AutomatonArrays, now: Now) -> bool:
         if a.guards[g, BENDS] == 1:
             return True
     return False
-
-
-def kink_row(a: AutomatonArrays, program: int, kink: int) -> int:
-    """The row of the function of a kink."""
-    p = a.programs
-    return p.kinks[p.index[program, KINKS] + kink, KINK_ROW]
 
 
 def value_at(
@@ -170,7 +164,7 @@ def parts(
     a: AutomatonArrays, now: Now, room: Room, program: int, kink: int, h: float, width: float
 ) -> bool:
     """Whether the function of a kink has different signs so far before and behind ``h``."""
-    row = kink_row(a, program, kink)
+    row = kink_row(a.programs, program, kink)
     side = crossed_to(room.c, row, room.sides[kink])
     t = room.c[now.end.shape[0], 0] + h
     before = h <= width or value_at(a, now, room, program, row, t - width, h - width) * side < 0.0
@@ -204,7 +198,7 @@ def comes_back(
     kink (1)."""
     if a.guards[guard, OWN] != now.ints[LAST_USED] or now.ints[GUARD_POWER] > 0:
         return False
-    c = room.c[kink_row(a, program, now.ints[CROSSED])]
+    c = room.c[kink_row(a.programs, program, now.ints[CROSSED])]
     off = now.floats[BEYOND_BY] * now.signs[guard - a.fields[now.ints[FIELD], GUARDS]]
     return now.ints[MADE] == 0 and power_size(c, 0, c.shape[0] - 1, h) <= ROUNDED * off
 
@@ -259,7 +253,7 @@ def straight(a: AutomatonArrays, now: Now, room: Room, program: int, t: float) -
             c[i, k] = 0.0
     if afresh(a.programs, program, 1, t, now.end, room.still, c, room.work) < 0:
         return math.inf
-    row = kink_row(a, program, now.ints[CROSSED])
+    row = kink_row(a.programs, program, now.ints[CROSSED])
     return -c[row, 0] / c[row, 1] if c[row, 1] != 0.0 else math.inf
 
 
@@ -270,7 +264,7 @@ def beyond_kink(
     has jumped; infinite if there is no such place. How far beyond the kink that is, is noted."""
     place = now.ints[EVENT] - a.fields[now.ints[FIELD], GUARDS]
     shift = further(a, now, room, program, tau, s)
-    row = kink_row(a, program, now.ints[CROSSED])
+    row = kink_row(a.programs, program, now.ints[CROSSED])
     off = value_then(a, now, room, program, row, tau, s + shift)
     now.floats[BEYOND_BY] = -now.signs[place] * abs(off)
     return shift
@@ -279,7 +273,7 @@ def beyond_kink(
 def further(a: AutomatonArrays, now: Now, room: Room, program: int, tau: float, s: float) -> float:
     """How much later the function of the kink has its new sign and, if possible, the guard is zero
     or beyond, too, as what follows reads them; infinite if that is nowhere."""
-    row, guard = kink_row(a, program, now.ints[CROSSED]), now.ints[EVENT]
+    row, guard = kink_row(a.programs, program, now.ints[CROSSED]), now.ints[EVENT]
     place = guard - a.fields[now.ints[FIELD], GUARDS]
     own = row_of(a, program, now.ints[FIELD], guard)
     spacing, shift, moves = EPS * (abs(now.floats[T]) + tau + s), 0.0, 0

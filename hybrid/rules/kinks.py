@@ -22,7 +22,7 @@ from .lengths import CONVERGED, behind, own_length
 from .polynomials import power_size, power_value
 from .zeros import EPS, VANISHES, series
 
-__all__ = ("expanded", "first_change", "holding", "turn")
+__all__ = ("expanded", "first_change", "holding", "kink_row", "turn")
 
 #: Product and sum are never fused, so that plain Python passes a kink at the same place.
 EXACT = True
@@ -269,6 +269,11 @@ def _exact(c: Floats, t: float, s: float) -> bool:
     return off <= ZERO_SPACINGS * EPS * max(abs(t), s) * abs(slope)
 
 
+def kink_row(p: Programs, program: int, kink: int) -> int:
+    """The row of the function of a kink."""
+    return p.kinks[p.index[program, KINKS] + kink, KINK_ROW]
+
+
 def crossed_to(c: Matrix, row: int, side: int) -> int:
     """The side of a kink after a zero at which it changes sign."""
     if side != 0:
@@ -284,8 +289,7 @@ def turn(
     known."""
     side = 0
     if crossed >= 0:
-        row = p.kinks[p.index[program, KINKS] + crossed, KINK_ROW]
-        side = crossed_to(c, row, sides[crossed])
+        side = crossed_to(c, kink_row(p, program, crossed), sides[crossed])
     for i in range(sides.shape[0]):
         if i == crossed:
             sides[i] = side

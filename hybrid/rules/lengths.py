@@ -18,6 +18,7 @@ __all__ = (
     "min_own_length",
     "own_length",
     "step_length",
+    "time_scale",
     "tolerated_length",
 )
 
@@ -118,6 +119,13 @@ def own_length(c: Floats, share: float) -> float:
             reach = _reach(c, order, last, share)
             length = min(length, reach) if reach >= 0.0 else length
     return length
+
+
+def time_scale(c: Floats) -> float:
+    """The time in which a function changes, as its series shows; 0 if the series ends. A phase
+    (``sin(t + 3)`` at ``t = 0``) has no more digits than that time, whatever the time itself is."""
+    length = own_length(c, CONVERGED)
+    return length if length < math.inf else 0.0
 
 
 def min_own_length(c: Floats, share: float, length: float) -> float:

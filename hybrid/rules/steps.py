@@ -24,9 +24,10 @@ from .kinks import (
     expanded,
     first_change,
     holding,
+    kink_row,
     states,
 )
-from .lengths import SHORTEST_CUT, SHORTEST_STEP, tolerated_length
+from .lengths import SHORTEST_CUT, SHORTEST_STEP, time_scale, tolerated_length
 from .weak import forget, weak_step
 from .zeros import EPS
 
@@ -94,8 +95,7 @@ def step(
             )
         if status < 0 or crossed < 0 or tau + h > tau:
             break
-        row = p.kinks[p.index[program, KINKS] + crossed, KINK_ROW]
-        sides[crossed] = crossed_to(c, row, sides[crossed])
+        sides[crossed] = crossed_to(c, kink_row(p, program, crossed), sides[crossed])
         begun(p, program, c, aside)
     if status == 0 and (not h > SHORTEST_STEP or (tau + h == tau and h < most)):
         status = NO_STEP
@@ -219,7 +219,8 @@ def forgotten(
         row = p.kinks[first + i, KINK_ROW]
         off = abs(c[row, 0] - aside[row, 0])
         if turned < 0:
-            moved = ZERO_SPACINGS * EPS * max(abs(t), tau) * abs(c[row, 1])
+            scale = max(abs(t), tau, time_scale(c[row]))
+            moved = ZERO_SPACINGS * EPS * scale * abs(c[row, 1])
             stale = abs(c[row, 0]) > ROUNDING_BESIDE * off + moved
         else:
             stale = i != turned and off > 0.0
@@ -284,8 +285,10 @@ def _length(
             return NOT_FINITE, h, -1
         if h == 0.0:
             return NO_STEP, h, -1
-        if crossed >= 0 and h <= SIDE_BLUR * abs(t):
-            return 0, h, crossed
+        if crossed >= 0:
+            scale = max(abs(t), time_scale(c[kink_row(p, program, crossed)]))
+            if h <= SIDE_BLUR * scale:
+                return 0, h, crossed
         rounded = (tau + h) - tau  # as the time will be
         h = rounded if 0.0 < rounded < min(most, tried) else h
         if follows(p, program, held, t, h, crossed >= 0, sides, c, aside, work):
