@@ -174,6 +174,8 @@ def test_a_saw_of_a_square_is_passed_by_taylor_series():
     assert abs(run.final.v - other.final.v) < 1e-12
 
 
+EPS = float(np.finfo(float).eps)
+
 WAVES = {
     "square": lambda a, t: jnp.sign(a.height * jnp.sin(a.w * t + a.phase)),
     "ramps": lambda a, t: jnp.abs(jnp.sin(a.w * t + a.phase)),
@@ -208,3 +210,51 @@ def test_a_wave_may_begin_at_its_corner(wave, half):
         "saw": 2.0 + ahead**2 - begun**2,
     }
     assert abs(run.final.x - exact[wave]) < 1e-13  # of phases to 160, whose rounding is 2e-14
+
+
+OUTFLOWS = {
+    "bare": lambda h: -jnp.sqrt(h),
+    "held at zero": lambda h: -jnp.sqrt(jnp.maximum(h, 0.0)),
+    "by cases": lambda h: jnp.where(h > 0.0, -jnp.sqrt(jnp.where(h > 0.0, h, 1.0)), 0.0),
+}
+
+
+@pytest.mark.parametrize("way", ["taylor", "DOP853", "RK45"])
+@pytest.mark.parametrize("outflow", list(OUTFLOWS))
+def test_a_tank_runs_empty_in_finite_time(outflow, way):
+    """By Torricelli's law the level is (1 - t/2)^2 until t = 2 and zero from then on: it comes to
+    the edge without a slope, and stays."""
+
+    class Tank(hy.Automaton):
+        h = hy.state()
+
+        @hy.mode(initial=True)
+        def drains(self, t, s):
+            return OUTFLOWS[outflow](s.h)
+
+        empty = hy.mode(lambda self, t, s: 0.0)
+        out = hy.edge(drains, to=empty, guard=lambda self, t, s: s.h)
+
+    run = hy.simulate(Tank(), {"h": 1.0}, (0.0, 3.0), **SOLVERS[way])
+    # other solvers know the level to their tolerance, and the time to its root
+    allowed = 16.0 * EPS if way == "taylor" else 2.0 * np.sqrt(1e-9)
+    assert run.mode == "empty"
+    assert abs(run.jumps[0].t - 2.0) < allowed
+
+
+@pytest.mark.parametrize("outflow", ["held at zero", "by cases"])
+def test_an_empty_tank_stays_empty(outflow):
+    """Without an edge the run goes on at rest; what flows in beside it does not end."""
+
+    class Tanks(hy.Automaton):
+        h = hy.state()
+        below = hy.state()
+
+        @hy.mode
+        def only(self, t, s):
+            return OUTFLOWS[outflow](s.h), -OUTFLOWS[outflow](s.h) - 0.5 * s.below
+
+    run = hy.simulate(Tanks(), {"h": 1.0, "below": 0.0}, (0.0, 3.0), solver="taylor")
+    # below' = 1 - t/2 - below/2 to t = 2, so below = 4 - t - 4 exp(-t/2); then it decays
+    assert abs(run.final.h) < 1e-28
+    assert abs(run.final.below - (2.0 - 4.0 * np.exp(-1.0)) * np.exp(-0.5)) < 1e-14

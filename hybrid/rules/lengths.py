@@ -29,8 +29,9 @@ LAST_TERMS = 1e-16
 #: the remainder is then no larger than they are.
 CONVERGED = 1e-3
 
-#: A step cut to less than this share of what its last terms allow is refused.
-SHORTEST_CUT = 1e-12
+#: A step cut to less than this share of what its last terms allow is refused. Series of a flow that
+#: comes to rest in finite time may reach far beyond; the share leads to rounding of the time.
+SHORTEST_CUT = 1e-20
 
 #: No step is shorter: numbers next to the smallest have too few digits.
 SHORTEST_STEP = 1e-300

@@ -28,6 +28,7 @@ from .kinks import (
     states,
 )
 from .lengths import SHORTEST_CUT, SHORTEST_STEP, time_scale, tolerated_length
+from .stops import stop
 from .weak import forget, weak_step
 from .zeros import EPS
 
@@ -102,6 +103,8 @@ def step(
     seen = status == 0 and crossed < 0
     if status < 0:
         h, crossed = weak_step(p, program, held, t, tau, x, most, sides, c, aside, work), -1
+        if h == 0.0:
+            h = stop(p, program, t, tau, x, most, sides, c, aside, work)
         if h == 0.0:
             return status, 0.0, -1
     if not arrives(p, program, t, h, seen, sides, c, aside, work, end):

@@ -581,7 +581,7 @@ class ArcFlow:
                     self.turning[index] = over
             return None
         deep = self.ends[guard.edge] * shallow.direction
-        if deep <= tolerance:
+        if deep <= tolerance and not (deep >= 0.0 and self._stays(guard, shallow, segment, end)):
             if abs(deep) <= tolerance:
                 self.turning[index] = shallow
             return None
@@ -718,6 +718,13 @@ class ArcFlow:
         left = self._tolerance(guard, segment, zero.tau, segment(zero.tau))
         tolerance = max(left, GUARD_ROUNDING * EPS * terms)
         return shallow(first, second, zero.direction, tolerance)
+
+    def _stays(self, guard: Guard, zero: Zero, segment: Segment, end: StateVector) -> bool:
+        """Whether a guard that has come to zero has no rate from then to the end of the step, as
+        the level of a tank has none that has run empty: it does not turn back (1)."""
+        middle = 0.5 * (max(zero.tau, segment.start) + segment.end)
+        places = (middle, segment(middle).tolist()), (segment.end, end.tolist())
+        return all(guard.lie(self.now.t + tau, x)[1] == 0.0 for tau, x in places)
 
     def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> Fired | None:
         """A guard that fires next to the end of a step that was made onto a predicted event: the
