@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 Scalar = Callable[..., Any]
 
+#: Spacings of the time by which the end of a stretch may lie beyond the knot at which it ends: the
+#: sum of a beginning, known to more than a number shows, and of a length is rounded twice.
+ROUNDED_TWICE = 2.0
+
 #: Largest number of states for which the Jacobian is written out; a thousand terms take 0.1 s in
 #: Python.
 WRITTEN = 32
@@ -176,7 +180,7 @@ class Field:
         where the gap or the surface jumps as it was just before, and as the flow has gone on since.
         """
         assert self.project is not None
-        within = float(np.nextafter(t, -np.inf)) if ends else t
+        within = t - ROUNDED_TWICE * float(np.spacing(abs(t))) if ends else t
         project = self._projection(within) if self.scene.samples else self.project
         if not (ends and self.leaps):
             return project(t, x)

@@ -49,7 +49,7 @@ from .places import (
 from .ties import hidden_of
 from .zeros import EPS
 
-__all__ = ("at_rest", "does", "far", "own_time", "start", "starts")
+__all__ = ("alike", "at_rest", "does", "far", "own_time", "start", "starts")
 
 #: Coefficients of a guard from this power on are compared with each other; for those below, the
 #: sums of absolute terms are known.
@@ -130,7 +130,8 @@ def start_of(
                 high = max(high, now.seen[a.uses[k]])
             high = min(high, max(size, sizes_of(a, room, guard, t, now.seen)[0]))
         out = crossing if before == 0 else 1 if c[1] > 0.0 else -1
-        out = out if kind in (EDGE, SWITCH) and not used else 0
+        thrown = used or (kind == EDGE and shares(a, now, room, c))
+        out = out if kind in (EDGE, SWITCH) and not thrown else 0
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least, out)
         if loads and sign == 0:  # bodies that fall together bear nothing, for good
             return 0, ARMED
@@ -154,6 +155,25 @@ def start_of(
     if what == FIRES and not known:
         return order, HARD
     return order, DROWNS if low and what == ARMED else what
+
+
+def shares(a: AutomatonArrays, now: Now, room: Room, c: Floats) -> bool:
+    """Whether an edge's guard, whose series is given, is that of the edge just used: it has been
+    thrown back by the same reset, however short the flight."""
+    field = now.ints[FIELD]
+    for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
+        if a.guards[g, KIND] == EDGE and a.guards[g, OWN] == now.ints[LAST_USED]:
+            return alike(c, room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)])
+    return False
+
+
+def alike(c: Floats, other: Floats) -> bool:
+    """Whether two series are the same up to their sign, as those of one function are."""
+    same, opposite = True, True
+    for k in range(c.shape[0]):
+        same = same and c[k] == other[k]
+        opposite = opposite and c[k] == -other[k]
+    return same or opposite
 
 
 def settles(
@@ -290,7 +310,7 @@ def start(
     out : int
         A sign that a rate does not give the guard of an edge or a switching if it turns back within
         rounding, as the guard then only touches zero: the one with which it would fire, or, if its
-        sign before is known, either; 0 for the one that has just fired, and where there is none.
+        sign before is known, either; 0 for that which has just fired, and where there is none.
     """
     moves = value > 0.0 and abs(slope) > GUARD_ROUNDING * EPS * fast
     noise = GUARD_ROUNDING * EPS * (size + abs(t) * abs(slope) + (0.0 if moves else high))

@@ -10,24 +10,26 @@ from __future__ import annotations
 import math
 
 from .arrays import Floats, Ints, Matrix, Programs
-from .checks import bends, follows
+from .checks import bends, follows, look
 from .jets import KINKS, OUTPUT
 from .kinks import (
     KINK_KIND,
     KINK_ROW,
     NOT_FINITE,
     POINT,
+    ZERO_SPACINGS,
     count,
     expanded,
     first_change,
     holding,
+    kink_row,
     states,
     turn,
 )
 from .lengths import CONVERGED, behind, held_length, min_own_length, own_length, zero_of
 from .polynomials import power_value
 from .weak import few_terms, steady
-from .zeros import outweighs, soon
+from .zeros import EPS, outweighs, soon
 from .zeros import series as zeros
 
 __all__ = ("fly",)
@@ -136,7 +138,41 @@ def fly(
             branch[kinks + crossings] = crossed
             crossings += 1
         turn(p, program, crossed, t + time - h, h, c, sides)
+        if crossed >= 0 and not _gap_goes_on(
+            p, program, column, crossed, t + time, end, sides, aside, work
+        ):
+            return OFF_SERIES, time, speed, piece + 1, crossings
     return TOO_LONG, time, speed, most, crossings
+
+
+def _gap_goes_on(
+    p: Programs,
+    program: int,
+    column: int,
+    crossed: int,
+    t: float,
+    x: Floats,
+    sides: Ints,
+    aside: Matrix,
+    work: Floats,
+) -> bool:
+    """Whether a gap and its speed go on where a flight has crossed a kink. If not, as where a floor
+    begins to rise, they are no more what the flight has made of those with which it began.
+
+    The formulas before and behind the kink may differ by what they change in the time by which
+    rounding has put the state beside it.
+    """
+    row, kink = p.output[p.index[program, OUTPUT] + column], kink_row(p, program, crossed)
+    side = sides[crossed]
+    sides[crossed] = -side
+    look(p, program, 2, t, x, True, sides, aside, work)
+    gap, speed, bend = aside[row, 0], aside[row, 1], aside[row, 2]
+    sides[crossed] = side
+    look(p, program, 2, t, x, True, sides, aside, work)
+    off, rate = abs(aside[kink, 0]), abs(aside[kink, 1])
+    late = ZERO_SPACINGS * EPS * abs(t) + (2.0 * off / rate if rate > 0.0 else 0.0)
+    turned, bent = abs(aside[row, 1] - speed), 2.0 * abs(aside[row, 2] - bend)
+    return turned <= late * bent and abs(aside[row, 0] - gap) <= late * (turned + late * bent)
 
 
 def most_pieces(kinks: int) -> int:

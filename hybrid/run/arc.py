@@ -436,13 +436,14 @@ class ArcFlow:
 
     def _predicts(self, index: int) -> bool:
         """Whether a guard's next zero is predicted from its series: that of a contact, or of a
-        guard that starts at zero. One that bounds nothing and has fired there is to leave zero
-        first."""
+        guard that starts at zero, to the side on which it waits. One that bounds nothing and has
+        fired there does so by its slope alone."""
         guard, order = self.field.guards[index], self.entered[index]
         if guard.kind in ("edge", "switch"):
             either = guard.crossing is Crossing.EITHER
-            waits = guard.edge not in self.spent and self.signs[index] == self._inside(index)
-            return (order == 1 and guard.bounds and not either) or (order > 0 and waits)
+            waits = self.signs[index] == self._inside(index)
+            thrown = order == 1 and not either and (guard.bounds or waits)
+            return thrown or (order > 0 and waits and guard.edge not in self.spent)
         return guard.kind == "contact" and order <= 1
 
     def _inside(self, index: int) -> int:

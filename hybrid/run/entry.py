@@ -529,12 +529,23 @@ class _Here:
         far = not known and unit("entries").far(value, max(self.reach, float(np.abs(x).max())))
         if far or value * passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
-        return self.decide(guard, index, least, self.outwards(guard, jumped))
+        return self.decide(guard, index, least, self.outwards(guard, index, jumped))
 
-    def outwards(self, guard: Guard, jumped: Jumped) -> int:
+    def shares(self, index: int, used: str | None) -> bool:
+        """Whether a guard is that of the edge just used
+        (:func:`hybrid.rules.entries.shares`)."""
+        own = (i for i, guard in enumerate(self.field.guards) if guard.edge == used)
+        if self.series is None or (other := next(own, None)) is None:
+            return False
+        c = (np.array(self.series[1][i], dtype=float) for i in (index, other))
+        return bool(unit("entries").alike(*c))
+
+    def outwards(self, guard: Guard, index: int, jumped: Jumped) -> int:
         """A sign that a rate which turns back within rounding does not give a guard
         (:func:`hybrid.rules.entries.start`)."""
         if guard.kind not in ("edge", "switch") or guard.edge == jumped.used:
+            return 0
+        if guard.kind == "edge" and self.shares(index, jumped.used):
             return 0
         if jumped.before(guard.edge, 1):
             return 1 if guard.lie(self.t, self.x.tolist())[1] > 0 else -1
