@@ -49,7 +49,7 @@ from .places import (
 from .ties import hidden_of
 from .zeros import EPS
 
-__all__ = ("alike", "at_rest", "does", "far", "own_time", "start", "starts")
+__all__ = ("alike", "at_rest", "does", "far", "own_time", "set_off", "start", "starts")
 
 #: Coefficients of a guard from this power on are compared with each other; for those below, the
 #: sums of absolute terms are known.
@@ -133,6 +133,9 @@ def start_of(
         thrown = used or (kind == EDGE and shares(a, now, room, c))
         out = out if kind in (EDGE, SWITCH) and not thrown else 0
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least, out)
+        off = used and kind == EDGE and least == 0 and set_off(c[0], crossing, size, high)
+        if off and order > 0:
+            return order, HARD
         if loads and sign == 0:  # bodies that fall together bear nothing, for good
             return 0, ARMED
         series = used and own == now.ints[SERIES] and now.ints[IMPACT_COUNT] > 1
@@ -155,6 +158,13 @@ def start_of(
     if what == FIRES and not known:
         return order, HARD
     return order, DROWNS if low and what == ARMED else what
+
+
+def set_off(value: float, crossing: int, size: float, high: float) -> bool:
+    """Whether a reset has put the guard of its own edge to the side on which it waits, by more than
+    the rounding of what it is made of, here and at the largest states seen. Where :func:`start`
+    takes it for zero, it comes back in a time that rounding of the time hides."""
+    return value * crossing < 0.0 and abs(value) > GUARD_ROUNDING * EPS * (size + high)
 
 
 def shares(a: AutomatonArrays, now: Now, room: Room, c: Floats) -> bool:

@@ -18,7 +18,7 @@ from ..lowering.automaton import DIRECTIONS, NUMBERED
 from ..lowering.local import near
 from ..rules import unit
 from ..rules.cuts import MOVES
-from ..rules.entries import BEYOND, FIRES, LEAVES, OUTSIDE, UNDECIDED
+from ..rules.entries import ARMED, BEYOND, FIRES, LEAVES, OUTSIDE, UNDECIDED
 from ..rules.guards import GUARD_ROUNDING, NEAR, TIE
 from ..rules.zeros import EPS
 
@@ -487,6 +487,9 @@ class _Here:
                 f"{self.where()}: the guard of {edge} is zero and no derivative along "
                 f"the flow decides which way it goes{STARTS_OFF}"
             ).by("undecided")
+        thrown = order > 0 and edge == jumped.used and edge not in jumped.vanishing
+        if thrown and what in (ARMED, BEYOND) and self.is_off(guard):
+            return True  # it is back in a time that rounding hides
         if what == OUTSIDE:
             self.refuse_outside(guard, jumped.starting)
         elif what == BEYOND and not jumped.onwards:
@@ -566,13 +569,27 @@ class _Here:
             states, c = np.array(self.series[0]), self.series[1][index]
         if guard.kind == "contact":
             high, fast, _ = extent(self.scene, guard, self.field, self.t, self.x, self.seen)
-        elif guard.kind != "release" and len(self.seen):
-            high = max((float(self.seen[i]) for i in guard.uses), default=0.0)
-            high = min(high, extent(self.scene, guard, self.field, self.t, self.x, self.seen)[0])
+        elif guard.kind != "release":
+            high = self.highest(guard)
         sizes = self.scene.rounding(guard, self.field)(t, x)
         given = np.array(c), states, len(states), value, rate, t, *sizes, high, fast, least, out
         order, sign = unit("entries").start(*given)
         return order, sign
+
+    def highest(self, guard: Guard) -> float:
+        """The sum of absolute terms of a guard at the largest states seen, or the largest of these
+        if that is less."""
+        if not len(self.seen):
+            return 0.0
+        high = max((float(self.seen[i]) for i in guard.uses), default=0.0)
+        return min(high, extent(self.scene, guard, self.field, self.t, self.x, self.seen)[0])
+
+    def is_off(self, guard: Guard) -> bool:
+        """Whether the guard of an edge is off zero, on the side on which it waits."""
+        value, x = guard.value(self.t, self.x.tolist()), self.x.tolist()
+        size = float(self.scene.rounding(guard, self.field)(self.t, x)[0])
+        given = value, DIRECTIONS[guard.crossing], size, self.highest(guard)
+        return bool(guard.kind == "edge" and unit("entries").set_off(*given))
 
     def third(self, guard: Guard, index: int) -> list[float]:
         """The third Taylor coefficient of a contact's gap, where the whole flow has no series."""

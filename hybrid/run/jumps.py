@@ -24,7 +24,7 @@ from ..trajectory.trajectory import Status
 from ..zeno.accumulate import hop
 from . import clocks, switch
 from .accumulations import accumulate
-from .entry import Entry, Jumped, before_impact, beyond_kinks, jumped_over, opened
+from .entry import Entry, Jumped, before_impact, beyond_kinks, extent, jumped_over, opened
 from .limits import pass_limit
 from .noting import add_jump
 
@@ -57,7 +57,8 @@ def _reset(driver: Driver, guard: Guard, before: StateVector, carried: bool) -> 
     after = np.array(driver.scene.reset(guard.edge)(t, before.tolist()))
     _require_finite(driver, guard.edge, before, after)
     came = came_by(driver, guard, before, after, carried)
-    if carried or driver.forgets or has_jumped(driver, guard, before):
+    off = is_back(driver, guard, before) or has_jumped(driver, guard, before)
+    if carried or driver.forgets or off:
         came.vanishing = {}
     if came.used is None:
         driver.spent -= {guard.edge}
@@ -85,6 +86,15 @@ def came_by(
     off = driver.beyond_by if carried and here[0] * there[0] > 0 else 0.0
     used = None if beyond else guard.edge
     return Jumped(known, used=used, onwards=bool(onwards), beyond_by=copysign(off, there[0]))
+
+
+def is_back(driver: Driver, guard: Guard, x: StateVector) -> bool:
+    """Whether a guard that fires before any flow is off zero: it comes there in a time that
+    rounding hides."""
+    if not driver.entry.at_once:
+        return False
+    size = extent(driver.scene, guard, driver.entry.field, driver.t, x, driver.seen)[0]
+    return bool(abs(guard.value(driver.t, x.tolist())) > NEAR * size)
 
 
 def has_jumped(driver: Driver, guard: Guard, x: StateVector) -> bool:

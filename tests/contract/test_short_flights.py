@@ -164,3 +164,30 @@ def test_a_floor_that_begins_to_move_at_a_knot_throws_the_body_off(seed):
             run = hy.simulate(model, {"x": 0.0, "v": w}, (0.0, tc + after), solver=solver)
             expected = (1.0 + r) * k * after - 0.5 * g * after * after
             assert abs(run.final.x - expected) < 1e-7  # of SciPy's tolerance, 1e-8
+
+
+class Faster(hy.Automaton):
+    """A clock hand that goes twice as fast each time round: rounds accumulate at t = 2, and the
+    speed has no limit."""
+
+    c = hy.state()
+    w = hy.state()
+    q = hy.parameter(2.0)
+
+    @hy.mode(initial=True)
+    def turns(self, t, s):
+        return s.w, 0.0
+
+    @hy.edge(turns, guard=lambda self, t, s: 1.0 - s.c)
+    def tick(self, t, s):
+        return s.replace(c=0.0, w=self.q * s.w)
+
+
+@pytest.mark.parametrize("q", [1.1, 2.0, 3.0])
+def test_rounds_that_become_shorter_than_the_time_can_tell_are_not_passed(way, q):
+    limit = q / (q - 1.0)
+    run = way.run(Faster(q=q), {"c": 0.0, "w": 1.0}, (0.0, 1.05 * limit), max_jumps=5000)
+    assert run.status != "reached_end"
+    before = way.run(Faster(q=q), {"c": 0.0, "w": 1.0}, (0.0, 0.9 * limit))
+    assert before.status == "reached_end"
+    assert 0.0 <= before.final.c <= 1.0
