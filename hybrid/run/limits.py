@@ -33,6 +33,11 @@ DROWNING, DROWNED = 1e-6, EPS / 1e-6
 #: Points on the way to the limit at which the flow is sampled, and how linear it must be.
 SAMPLES, STRAIGHTNESS = 64, 1e-2
 
+#: How often the way to the limit is halved where a reset is sampled, from ``FURTHER`` times its
+#: length on; and by how many times more than on the way so far, and by what share of all, it may
+#: change with one halving.
+HALVINGS, FURTHER, LATE_CHANGE, NO_CHANGE = 60, 16.0, 4.0, 1e-3
+
 #: Steps of the midpoint rule along the last flight of a jump.
 FLIGHT = 8
 
@@ -51,10 +56,37 @@ def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: f
             return False
         if not _alone(field, turn, k, t, cycle, slack):
             return False
+        if fired.kind == "edge" and not _keeps_law(scene, field, fired, turn, k, t):
+            return False
         off = np.abs(_after(scene, fired, t, x) - turn.limits[k + 1])
         if np.any(off > slack + turn.slack(k + 1, rtol)):
             return False
     return True
+
+
+def _keeps_law(scene: Scene, field: Field, guard: Guard, turn: Turn, k: int, t: float) -> bool:
+    """Whether a reset does at all states on the way to the limit what it has done so far.
+
+    Of what it makes of their distance to the limit, the change with a halving of that falls where
+    it follows a power of the distance. If it grows, as where another formula begins at some speed,
+    the jumps seen so far do not tell of those that come.
+    """
+    now, x, limit = turn.seen[k], turn.limits[k], turn.limits[k + 1]
+    *_, (begin, *came), _ = _way(field, now, now.until(turn.seen[k + 1]), t, x)
+    shares = FURTHER * 0.5 ** np.arange(HALVINGS)[:, None]
+    states, times = x + shares * (np.array(came) - x), t + shares[:, 0] * (begin - t)
+    made = np.array(
+        [_after(scene, guard, s, y) for s, y in zip(times.tolist(), states, strict=True)]
+    )
+    laws = (made - limit) / shares
+    changes = np.abs(np.diff(laws, axis=0))
+    noise = (
+        64 * EPS * (np.abs(limit) + np.abs(x)) / shares[1:] + 10 * turn.errors[k + 1] / shares[1:]
+    )
+    known = int(np.log2(FURTHER))
+    so_far = np.maximum.accumulate(changes, axis=0)
+    allowed = LATE_CHANGE * so_far[known - 1 : -1] + NO_CHANGE * np.abs(laws).max(axis=0)
+    return bool(np.all(changes[known:] <= allowed + noise[known:]))
 
 
 def _alone(

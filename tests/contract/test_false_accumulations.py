@@ -12,7 +12,7 @@ import pytest
 
 import hybrid as hy
 
-from .ways import later, spread
+from .ways import SOLVERS, later, spread
 
 pytest.importorskip("flint")
 
@@ -328,3 +328,40 @@ def test_the_end_of_the_run_does_not_matter(solver):
     runs = [hy.simulate(model, START, (0, end), solver=solver, rtol=1e-9) for end in (9, 17, 400)]
     assert len({run.zeno[0].t for run in runs}) == 1
     assert len({(run.zeno[0].t_error, run.zeno[0].verdict) for run in runs}) == 1
+
+
+class SlowTurn(hy.Automaton):
+    """A ball by an edge whose reset has another formula for impacts slower than ``p``."""
+
+    x = hy.state()
+    v = hy.state()
+    p = hy.parameter(1e-4)
+    below = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def fly(self, t, s):
+        return s.v, -2.0
+
+    @hy.mode(limit_of=("back",))
+    def rest(self, t, s):
+        return 0.0, 0.0
+
+    @hy.edge(fly, guard=lambda self, t, s: s.x)
+    def back(self, t, s):
+        return s.replace(x=0.0, v=-jnp.where(-s.v < self.p, self.below, 0.5) * s.v)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "DOP853"])
+@pytest.mark.parametrize("p", [1e-3, 1e-4, 1e-6])
+def test_a_reset_that_changes_on_the_way_to_the_limit_is_not_extrapolated(solver, p):
+    """The impacts seen so far halve the speed; those to come keep 0.9 of it, or all."""
+    speeds = [1.0]
+    while speeds[-1] > 1e-18:
+        speeds.append((0.9 if speeds[-1] < p else 0.5) * speeds[-1])
+    start, t = {"x": 0.0, "v": 1.0}, (0.0, 2.3)
+    for below, limit in ((0.5, 2.0), (0.9, sum(speeds))):
+        run = hy.simulate(SlowTurn(p=p, below=below), start, t, **SOLVERS[solver])
+        assert len(run.zeno) == 1
+        assert abs(run.zeno[0].t - limit) < 1e-12
+    elastic = hy.simulate(SlowTurn(p=p), start, t, max_jumps=1000, **SOLVERS[solver])
+    assert len(elastic.zeno) == 0
