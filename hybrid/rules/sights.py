@@ -159,7 +159,7 @@ def damped(
 
 def slows(a: AutomatonArrays, at: int, t: float, x: Floats, v: float, room: Sums) -> bool:
     """Whether the restitution is below 1 down to the slowest impacts, at a state."""
-    fall = math.log(SLOWEST / v) / (SLOW_STEPS - 1)
+    fall = (math.log(SLOWEST) - math.log(v)) / (SLOW_STEPS - 1)  # the quotient may be denormal
     for k in range(SLOW_STEPS):
         if not restitution(a.programs, at, t, x, -v * math.exp(fall * k), room) < 1.0 - LEAST_LOSS:
             return False

@@ -114,7 +114,19 @@ class Accumulation:
 
     @property
     def narrowest(self) -> Proof:
-        """The proof with the narrowest bounds on ``t``."""
+        """The proof with the narrowest bounds on ``t``.
+
+        Raises
+        ------
+        ValueError
+            If there is none: nothing was proved, or the run comes from a file, which keeps the
+            ``enclosure`` alone.
+        """
+        if not self.proofs:
+            raise ValueError(
+                "this accumulation has no proofs: it was not certified, or comes from a file, "
+                "which keeps its enclosure alone"
+            )
         return min(self.proofs, key=lambda proof: proof.high - proof.low)
 
     @property
@@ -211,7 +223,7 @@ def explain(point: Accumulation) -> str:
     if isnan(point.ratio):
         how = "reached by computing all impacts down to rounding"
     how = f"was {how} ({point.verdict})"
-    if point.verdict == "certified":
+    if point.verdict == "certified" and point.proofs:  # a file keeps none
         first, best = point.proofs[0], point.narrowest
         how += (
             f". It is proved from the impact at t = {first.t:.9g} on: from its gap speed of "

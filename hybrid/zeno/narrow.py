@@ -123,7 +123,8 @@ def law_error(tail: Tail) -> float:
         if not law < 1.0 - LEAST_LOSS or not shift <= most:
             return inf
         off += shift
-    slow = tail.v * np.exp(np.linspace(0.0, log(SLOWEST / tail.v), SLOW_STEPS))
+    way = log(SLOWEST) - log(tail.v)  # of the quotient, which may be denormal
+    slow = tail.v * np.exp(np.linspace(0.0, way, SLOW_STEPS))
     fit = all(tail.contact.law(t_inf, x_inf, -u) < 1.0 - LEAST_LOSS for u in slow.tolist())
     return off if fit else inf
 
@@ -160,7 +161,8 @@ def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float
     fades = 1.0 - contact.law(t, x, -0.0) < LEAST_LOSS
     if fades and ratio < 1.0:
         return False
-    fall = min((SLOWEST / speed) ** (1.0 / SLOW_STEPS), 1.0) if speed > 0 else 1.0
+    way = log(SLOWEST) - log(speed) if speed > 0 else 0.0
+    fall = min(exp(way / SLOW_STEPS), 1.0)
     before, pace = 1.0, inf
     for k in range(SLOW_STEPS + 1):
         u = speed * fall**k
