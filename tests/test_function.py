@@ -504,3 +504,31 @@ def test_a_run_that_fails_is_a_status():
     assert float(out.final["x"]) == -1.0
     out = fall(BouncingBall(), {"x": np.nan, "v": 0.0})
     assert REASONS[int(out.status)][0] in ("outside", "not_finite")
+
+
+class InNanometres(hy.Automaton):
+    """A ball whose restitution depends on the speed, in a small unit of length."""
+
+    x = hy.state()
+    v = hy.state()
+    per_metre = hy.parameter(1e9)
+
+    @hy.mode
+    def fly(self, t, s):
+        return s.v, -9.8 * self.per_metre
+
+    impact = hy.contact(
+        fly,
+        gap=lambda self, t, s: s.x,
+        restitution=lambda self, t, s, u: 0.6 * jnp.exp(0.2 * u / self.per_metre),
+    )
+
+
+def test_a_small_unit_of_length_makes_no_difference():
+    """Threads of JAX flush denormal numbers to zero, as the quotient of the slowest speed that is
+    looked at and one of 1e9 is."""
+    fly = hy.as_function(InNanometres(), t=(0.0, 3.0), max_jumps=300)
+    small, large = (
+        float(fly(InNanometres(per_metre=n), {"x": n, "v": 0.0}).zeno.t) for n in (1e9, 1.0)
+    )
+    assert abs(small - large) < 1e-12  # rounding of some tens of flights

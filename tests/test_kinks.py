@@ -10,6 +10,8 @@ from hybrid.solvers.scipy_backend import SciPySolver
 
 from .contract.ways import SOLVERS
 
+EPS = float(np.finfo(float).eps)
+
 
 class Bent(hy.Automaton):
     """An oscillator whose force bends, jumps in time, has poles beside the path and is flat far
@@ -173,8 +175,6 @@ def test_a_saw_of_a_square_is_passed_by_taylor_series():
     assert run.stats.steps < 20
     assert abs(run.final.v - other.final.v) < 1e-12
 
-
-EPS = float(np.finfo(float).eps)
 
 WAVES = {
     "square": lambda a, t: jnp.sign(a.height * jnp.sin(a.w * t + a.phase)),

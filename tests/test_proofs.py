@@ -172,3 +172,14 @@ def test_chattering_is_proved_early(name, speed):
     states = np.array(run(times)).T
     assert np.all(states >= first.x_low - 1e-9)
     assert np.all(states <= first.x_high + 1e-9)
+
+
+def test_a_file_keeps_the_bounds_of_a_proof_and_says_so(tmp_path):
+    run = hy.simulate(BouncingBall(), {"x": 1.0, "v": 0.0}, (0.0, 3.0), solver="taylor")
+    run.save(tmp_path / "run.nc")
+    point = hy.load(tmp_path / "run.nc", BouncingBall).zeno[0]
+    assert point.verdict == "certified"
+    assert point.enclosure == run.zeno[0].enclosure
+    assert "certified" in hy.load(tmp_path / "run.nc", BouncingBall).explain()
+    with pytest.raises(ValueError, match="keeps its enclosure alone"):
+        _ = point.narrowest

@@ -80,13 +80,11 @@ def _keeps_law(scene: Scene, field: Field, guard: Guard, turn: Turn, k: int, t: 
     )
     laws = (made - limit) / shares
     changes = np.abs(np.diff(laws, axis=0))
-    noise = (
-        64 * EPS * (np.abs(limit) + np.abs(x)) / shares[1:] + 10 * turn.errors[k + 1] / shares[1:]
-    )
     known = int(np.log2(FURTHER))
-    so_far = np.maximum.accumulate(changes, axis=0)
-    allowed = LATE_CHANGE * so_far[known - 1 : -1] + NO_CHANGE * np.abs(laws).max(axis=0)
-    return bool(np.all(changes[known:] <= allowed + noise[known:]))
+    so_far = np.maximum.accumulate(changes, axis=0)[known - 1 : -1]
+    noise = 64 * EPS * (np.abs(limit) + np.abs(x)) + 10 * turn.errors[k + 1]
+    allowed = LATE_CHANGE * so_far + NO_CHANGE * np.abs(laws).max(axis=0)
+    return bool(np.all(changes[known:] <= allowed + noise / shares[known + 1 :]))
 
 
 def _alone(
