@@ -200,15 +200,17 @@ class Library:
         return {placed.rule.name: calls.Call(placed) for placed in code.placed(self._mark(name))}
 
     def _build_for(self, name: str) -> None:
-        """Compile a unit, and what is needed together with it, unless another process has."""
+        """Compile a unit, and what is needed together with it, unless another process has.
+
+        That is done beside this process, one unit alone too: numba may be at another level here,
+        which gives a unit that is kept as text other last bits.
+        """
         if self._mark(name).exists():
             return
         said = f"hybrid: compiling the rules {name!r}, once, into {self.folder}"
         print(said, file=sys.stderr, flush=True)
         names = next((group for group in self.together if name in group), (name,))
-        calls = self._calls(names)
-        if os.cpu_count() != 1 and len(self._units(calls)) > 1:
-            self._in_processes(calls)
+        self._in_processes(self._calls(names))
         if not self._mark(name).exists():
             self.compile(name)  # what failed fails here again, and says why
 
