@@ -532,3 +532,40 @@ def test_a_small_unit_of_length_makes_no_difference():
         float(fly(InNanometres(per_metre=n), {"x": n, "v": 0.0}).zeno.t) for n in (1e9, 1.0)
     )
     assert abs(small - large) < 1e-12  # rounding of some tens of flights
+
+
+class Steep(hy.Automaton):
+    """What is passed is flat to rounding on both sides of a narrow zone."""
+
+    x = hy.state()
+    y = hy.state()
+    k = hy.parameter(100.0)
+
+    @hy.mode
+    def only(self, t, s):
+        return 1.0, jnp.tanh(self.k * s.x)
+
+
+class Gust(hy.Automaton):
+    """A gust of wind that lasts ``w`` seconds, about t = 0.37."""
+
+    v = hy.state()
+    a = hy.parameter(1.0)
+    w = hy.parameter(0.01)
+
+    @hy.mode
+    def only(self, t, s):
+        return self.a / self.w * jnp.exp(-(((t - 0.37) / self.w) ** 2))
+
+
+def test_derivatives_see_narrow_zones():
+    """They are flat to rounding far from the zone, as is their series: steps end where the
+    arguments of ``tanh`` and ``exp`` come to it. Allowed is what 1 - tanh^2 loses at its edge."""
+    passes = hy.as_function(Steep(), t=(0.0, 0.75), max_jumps=1)
+    blows = hy.as_function(Gust(), t=(0.0, 0.9), max_jumps=1)
+    for k in (30.0, 100.0, 1e5):
+        end = jax.grad(lambda x, k=k: passes(Steep(k=k), {"x": x, "y": 0.0}).final.y)
+        assert abs(end(-0.4) - (np.tanh(0.35 * k) + np.tanh(0.4 * k))) < 1e-12
+    for w in (0.03, 0.01, 1e-4):
+        end = jax.grad(lambda a, w=w: blows(Gust(a=a, w=w), {"v": 0.0}).final.v)
+        assert abs(end(1.0) - np.sqrt(np.pi)) < 1e-12

@@ -22,7 +22,7 @@ from .lengths import CONVERGED, behind, own_length
 from .polynomials import power_size, power_value
 from .zeros import EPS, VANISHES, series
 
-__all__ = ("expanded", "first_change", "holding", "kink_row", "turn")
+__all__ = ("expanded", "first_change", "holding", "in_bands", "kink_row", "turn")
 
 #: Product and sum are never fused, so that plain Python passes a kink at the same place.
 EXACT = True
@@ -47,6 +47,11 @@ NO_SERIES, NOT_FINITE = -1, -2
 #: order: up to the order the last terms of its series outweigh those that follow, and half of it
 #: leaves room for a square.
 STEP_CHANGE, EXP_CHANGE = 0.9, 0.5
+
+#: Largest change per step of the argument of such a function whose derivatives are sought: at the
+#: edge of the zone ``1 - tanh(a)**2`` is rounding alone, and so is its series, of what grows there
+#: by ``exp(2 a)``: by 400, to 1e-13.
+DERIVED_CHANGE = 3.0
 
 #: Rounding of a kink's polynomial in Bernstein form, as a multiple of the sum of its terms: as many
 #: roundings as its highest degree.
@@ -126,6 +131,17 @@ def holding(p: Programs, program: int, c: Matrix) -> float:
         if most < math.inf:
             length = _changing(c[row], length, most)
     return length
+
+
+def in_bands(p: Programs, program: int, h: float, c: Matrix) -> float:
+    """The given length, or a shorter one on which functions that are not flat change little, and
+    to the end of which the arguments of those that are have not come where they are not."""
+    for j in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
+        if p.kinks[j, KINK_KIND] == BAND:
+            series = c[p.kinks[j, KINK_ROW]]
+            off = max(p.bands[j, 0] - series[0], series[0] - p.bands[j, 1])
+            h = _changing(series, h, max(APPROACH * off, DERIVED_CHANGE))
+    return h
 
 
 def _changing(c: Floats, length: float, most: float) -> float:

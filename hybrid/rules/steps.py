@@ -220,15 +220,15 @@ def forgotten(
         rounded(p, program, t, x, sides, c, aside, work)
     for i in range(count(p, program)):
         row = p.kinks[first + i, KINK_ROW]
-        off = abs(c[row, 0] - aside[row, 0])
-        if turned < 0:
-            scale = max(abs(t), tau, time_scale(c[row]))
-            moved = ZERO_SPACINGS * EPS * scale * abs(c[row, 1])
-            stale = abs(c[row, 0]) > ROUNDING_BESIDE * off + moved
-        else:
+        if sides[i] != 0:
+            off = abs(c[row, 0] - aside[row, 0])
             stale = i != turned and off > 0.0
-        if sides[i] != 0 and stale:
-            sides[i], found = 0, True
+            if turned < 0:
+                scale = max(abs(t), tau, time_scale(c[row]))
+                moved = ZERO_SPACINGS * EPS * scale * abs(c[row, 1])
+                stale = abs(c[row, 0]) > ROUNDING_BESIDE * off + moved
+            if stale:
+                sides[i], found = 0, True
     return found
 
 

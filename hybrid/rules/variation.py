@@ -10,7 +10,7 @@ from __future__ import annotations
 from .arrays import Changes, Floats, Ints, Matrix, Programs, Table
 from .checks import along
 from .jets import KINKS, OUTPUT, jets
-from .kinks import POINT
+from .kinks import POINT, in_bands
 from .lengths import FIRST_TERMS, LAST_TERMS, own_length, step_length
 from .polynomials import power_value
 
@@ -74,6 +74,9 @@ def carried(
         first = p.index[program, OUTPUT]
         _expand(p.output[first:], places, found.shape[0], found.shape[1], order, c, room)
         h = _step(c, x.shape[0], room.terms, found.shape[0] * found.shape[1], length - done)
+        h = in_bands(
+            p, program, h, c
+        )  # where derivatives are flat to rounding, series show nothing
         if not done + h > done:
             return NO_SERIES
         along(c, h, x)
