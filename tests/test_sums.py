@@ -368,3 +368,30 @@ def test_sums_from_high_flights_are_seen_without_watching_steps(start, r):
     run = hy.simulate(model, {"x": start, "v": 0.0}, (0.0, 40.0), **options)
     assert run.zeno[0].verdict == "certified"
     assert run.stats.steps <= 12
+
+
+@pytest.mark.parametrize(("ratio", "fade"), [(0.6, 0.1), (0.3, -0.1), (0.8, 0.3)])
+def test_speeds_before_summed_impacts_are_those_after_the_ones_before(ratio, fade):
+    """Under a constant force a body comes back as fast as it left, also where the restitution
+    depends on that speed."""
+
+    class Fading(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+
+        @hy.mode
+        def fly(self, t, s):
+            return s.v, -9.8
+
+        impact = hy.contact(
+            fly,
+            gap=lambda self, t, s: s.x,
+            restitution=lambda self, t, s, u: ratio * jnp.exp(fade * u),
+        )
+
+    run = hy.simulate(Fading(), {"x": 1.0, "v": 0.0}, (0.0, 8.0), solver="taylor")
+    before, after = run.jumps.before.v, run.jumps.after.v
+    size = np.abs(after[:-1])
+    assert len(run.zeno) == 1
+    # each is known to what the sum leaves of its interpolated speeds
+    assert np.all(np.abs(before[1:] + after[:-1]) <= 1e-9 * size)

@@ -30,6 +30,7 @@ from .jets import KINKS, afresh, values
 from .kinks import NO_SERIES
 from .lengths import LAST_TERMS
 from .linear import solve, unfitted
+from .zeros import EPS
 
 __all__ = ("close", "hull", "impacts", "on_curve", "part", "restitution", "shown", "touch")
 
@@ -114,8 +115,9 @@ STILL_FALLS = 0.5
 #: 1.9; and their share of what the sum may be off.
 FLIGHT_ROUNDING, TERMS_CAUTION, LAST_TERMS_SHARE = 3e-15, 4.0, 0.025
 
-#: Turns in which the speed before an impact is found where the restitution depends on it.
-LAW_TURNS = 3
+#: Most turns in which the speed before an impact is found where the restitution depends on it: the
+#: error falls in each by the power of the speed by which that changes there.
+LAW_TURNS = 60
 
 #: The smallest that anything is compared with, and the largest logarithm of a speed's growth.
 SMALLEST_DIVISOR, LARGEST_GROWTH = 1e-300, 700.0
@@ -530,7 +532,9 @@ def impacts(
         when, speed = on_curve(p, at, curve, degree, t, x, v, w, 1.0, room, state)
         struck = -speed / r
         for _ in range(LAW_TURNS):
-            struck = -speed / restitution(p, at, when, state, struck, room)
+            last, struck = struck, -speed / restitution(p, at, when, state, struck, room)
+            if abs(struck - last) <= 2.0 * EPS * abs(struck):
+                break
         values(p, at + KICK, when, state, room.sides, room.c, room.work, read)
         for j in range(x.shape[0]):
             before[k, j] = state[j]
