@@ -4,7 +4,7 @@ A method evaluates the flow at a few points of a step. A force that acts between
 missed, and so is its effect on the error estimate. But the step's polynomial shows the zeros of the
 functions that decide on the formula. A step that contains one is taken back and made again up to
 shortly before it, where the method sees one formula only, and so the zero is located ever better.
-The short remaining way is gone along a straight line, and the method starts anew beyond.
+The short remaining way is gone along a parabola, and the method starts anew beyond.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.cuts import MOVES
 from ..rules.zeros import EPS
-from ..segment import Segment
+from ..segment import Segment, from_powers
 from ..solvers import Solver, Stepper
 from ..solvers.base import LEADS_BACK
 from .entry import beyond_kinks
@@ -30,9 +30,13 @@ if TYPE_CHECKING:
     from ..lowering.tape import Jets
 
 #: The share of the way to a kink that is left before it is looked for again, and by how much more
-#: is left each time that it is met before; and the share of a step that is gone along a straight
-#: line, whose error is the square of this.
-SHORT_OF, SHORTER, STRAIGHT = 1e-4, 8.0, 1e-8
+#: is left each time that it is met before; and the share of a step that is gone along a parabola,
+#: which beyond the kink is that of another formula: its error is the square of this.
+SHORT_OF, SHORTER, PARABOLIC = 1e-4, 8.0, 1e-8
+
+#: A way that goes on beyond a kink for more than so many times the way to it is straight: the bend
+#: of the way to it would be rounding.
+STRAIGHT_BEYOND = 8.0
 
 #: Most kinks that are passed with no step between: more than there are in any flow.
 MOST_PASSES = 256
@@ -138,7 +142,7 @@ class KinkedStepper(Stepper):
             inside = cut.before > 0.0
             self.seen = self.seen or own.length
             ahead = (cut.before if inside else cut.after) * own.length
-            if inside and ahead > max(STRAIGHT * self.seen, self._speck(cut.kink)):
+            if inside and ahead > max(PARABOLIC * self.seen, self._speck(cut.kink)):
                 self._begin(self.tau + (1.0 - short) * ahead)
                 short = min(SHORTER * short, 0.9)
             else:
@@ -194,7 +198,7 @@ class KinkedStepper(Stepper):
         if own.length > speck:
             return None
         t, x = self.t0 + self.tau, self.x
-        ahead = x + SPACINGS * speck * np.array(self.field.rhs(t, x.tolist()))
+        ahead = x + SPACINGS * speck * self._flow(t, x)
         for kink in self.changes:
             here = kink.value(t, x.tolist())
             if here * kink.value(t + SPACINGS * speck, ahead.tolist()) < 0.0:
@@ -217,24 +221,46 @@ class KinkedStepper(Stepper):
         return SPACINGS * EPS * max(abs(self.t0) + self.tau, min(times, default=0.0))
 
     def _pass(self, cut: Cut, ahead: float) -> None:
-        """Go straight on until a deciding function has the sign beyond a kink, for some time: a
-        step from the same place would meet the same kink. The direction is that of half the way,
-        as a flow may leave a kink at rest."""
+        """Go on along a parabola until a deciding function has the sign beyond a kink, for some
+        time: a step from the same place would meet the same kink. The parabola is that of the
+        formula before the kink."""
         t, x = self.t0 + self.tau, self.x
-        flow = np.array(self.field.rhs(t, x.tolist()))
-        half = 0.5 * ahead
-        flow = np.array(self.field.rhs(t + half, (x + half * flow).tolist()))
         more = float(np.spacing(abs(t) + ahead))
+        rate, bend = self._way(t, x, ahead, more)
         ahead = max(ahead, more)
         for _ in range(MOVES):
-            if cut.kink.value(t + ahead, (x + ahead * flow).tolist()) * cut.side > 0:
+            there = x + ahead * (rate + ahead * bend)
+            if cut.kink.value(t + ahead, there.tolist()) * cut.side > 0:
                 break
+            later = self._flow(t + ahead, there)
+            bend = 0.5 * (later - rate) / ahead if np.isfinite(later).all() else bend
             ahead, more = ahead + more, 2.0 * more
         ahead = min(ahead, self.length - self.tau)
-        start, self.tau, self.x = self.tau, self.tau + ahead, x + ahead * flow
+        start, self.tau = self.tau, self.tau + ahead
+        self._segment = _parabola(start, self.tau - start, x, ahead * rate, ahead * ahead * bend)
+        self.x = x + ahead * (rate + ahead * bend)
         self.first, self.seen = self.seen, 0.0
         self.passed, self.passes = True, self.passes + 1
         if self.passes > MOST_PASSES:
             raise FlowError(f"{self.passes} changes of the flow with no step between: {LEADS_BACK}")
-        straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, self.x])
-        self._segment = Segment(start, self.tau - start, straight)
+
+    def _way(
+        self, t: float, x: StateVector, ahead: float, more: float
+    ) -> tuple[StateVector, StateVector]:
+        """The first two powers of the way from a state, of which at least ``more`` is gone: by the
+        flow there and half the way ahead, as a flow may leave a kink at rest."""
+        flow, half = self._flow(t, x), 0.5 * ahead
+        later = self._flow(t + half, x + half * flow)
+        if STRAIGHT_BEYOND * ahead < more:
+            return later, np.zeros_like(later)
+        return flow, 0.5 * (later - flow) / half
+
+    def _flow(self, t: float, x: StateVector) -> StateVector:
+        return np.array(self.field.rhs(t, x.tolist()))
+
+
+def _parabola(
+    start: float, length: float, x: StateVector, first: StateVector, second: StateVector
+) -> Segment:
+    """A segment whose state is given by powers of the share of its length."""
+    return Segment(start, length, from_powers(2) @ np.array([x, first, second]))
