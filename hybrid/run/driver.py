@@ -301,12 +301,13 @@ class Driver:
                 return Jumped({released(guard.edge): RISES if lasted else PULLED})
             if guard.kind in ("switch", "leave"):
                 return Jumped(switch.vanishing(guard, field))
-            own = [g for g in self.field.guards if g.edge == guard.edge and not self.forgets]
+            own = [g for g in self.field.guards if g.edge == guard.edge]
             if not own:
                 return Jumped(used=guard.edge)
             vanishes, self.beyond_by = beyond_by is None, beyond_by or 0.0
             come = jumps.came_by(self, own[0], before, x, carried=not vanishes)
-            return come if vanishes else attrs.evolve(come, vanishing={})
+            known = vanishes and not self.forgets
+            return come if known else attrs.evolve(come, vanishing={})
 
         self.begin(field, x, came)
 

@@ -83,6 +83,8 @@ class Jumped:
         The contacts held closed; those found closed on entering are added.
     used : str or None
         The edge just taken: its guard is zero by construction and must first leave zero (2).
+    set_off : bool
+        The reset of that edge may have put its guard off zero.
     onwards : bool
         The reset of that edge has not reversed the motion of its guard.
     beyond_by : float
@@ -116,6 +118,7 @@ class Jumped:
     vanishing: dict[str, int] = attrs.Factory(dict)
     held: tuple[str, ...] = ()
     used: str | None = None
+    set_off: bool = True
     onwards: bool = False
     beyond_by: float = 0.0
     starting: bool = False
@@ -487,8 +490,9 @@ class _Here:
                 f"{self.where()}: the guard of {edge} is zero and no derivative along "
                 f"the flow decides which way it goes{STARTS_OFF}"
             ).by("undecided")
-        thrown = order > 0 and edge == jumped.used and edge not in jumped.vanishing
-        if thrown and what in (ARMED, BEYOND) and self.is_off(guard):
+        set_off = order > 0 and edge == jumped.used and jumped.set_off
+        may = set_off and edge not in jumped.vanishing and what in (ARMED, BEYOND)
+        if may and self.is_off(guard):
             return True  # it is back in a time that rounding hides
         if what == OUTSIDE:
             self.refuse_outside(guard, jumped.starting)

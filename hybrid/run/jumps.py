@@ -57,7 +57,8 @@ def _reset(driver: Driver, guard: Guard, before: StateVector, carried: bool) -> 
     after = np.array(driver.scene.reset(guard.edge)(t, before.tolist()))
     _require_finite(driver, guard.edge, before, after)
     came = came_by(driver, guard, before, after, carried)
-    off = is_back(driver, guard, before) or has_jumped(driver, guard, before)
+    back = came.set_off and is_back(driver, guard, before)
+    off = back or has_jumped(driver, guard, before)
     if carried or driver.forgets or off:
         came.vanishing = {}
     if came.used is None:
@@ -84,8 +85,9 @@ def came_by(
     beyond = guard.urgent and has_jumped(driver, guard, before)
     known = {guard.edge: 1} if here[0] == there[0] and not beyond else {}
     off = driver.beyond_by if carried and here[0] * there[0] > 0 else 0.0
-    used = None if beyond else guard.edge
-    return Jumped(known, used=used, onwards=bool(onwards), beyond_by=copysign(off, there[0]))
+    used, set_off = None if beyond else guard.edge, puts_off(driver, guard, before, there[0])
+    beyond_by = copysign(off, there[0])
+    return Jumped(known, used=used, set_off=set_off, onwards=bool(onwards), beyond_by=beyond_by)
 
 
 def is_back(driver: Driver, guard: Guard, x: StateVector) -> bool:
@@ -95,6 +97,18 @@ def is_back(driver: Driver, guard: Guard, x: StateVector) -> bool:
         return False
     size = extent(driver.scene, guard, driver.entry.field, driver.t, x, driver.seen)[0]
     return bool(abs(guard.value(driver.t, x.tolist())) > NEAR * size)
+
+
+def puts_off(driver: Driver, guard: Guard, x: StateVector, after: float) -> bool:
+    """Whether the reset of a guard, which is ``after`` behind it, puts it off zero by more than it
+    was before: from where it is zero, too, the short way on along the flow. A reset that leaves
+    the guard as it is, or shares what is left of it, does not."""
+    t, (value, rate, _) = driver.t, guard.lie(driver.t, x.tolist())
+    if NEAR * abs(after) > abs(value) or not rate:
+        return True
+    there = x - value / rate * np.array(driver.entry.field.rhs(t, x.tolist()))
+    again = driver.scene.reset(guard.edge)(t, there.tolist())
+    return bool(abs(guard.value(t, list(again))) > NEAR * abs(value))
 
 
 def has_jumped(driver: Driver, guard: Guard, x: StateVector) -> bool:

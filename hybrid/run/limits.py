@@ -33,10 +33,10 @@ DROWNING, DROWNED = 1e-6, EPS / 1e-6
 #: Points on the way to the limit at which the flow is sampled, and how linear it must be.
 SAMPLES, STRAIGHTNESS = 64, 1e-2
 
-#: How often the way to the limit is halved where a reset is sampled, from ``FURTHER`` times its
+#: How often the way to the limit is halved where a reset is sampled, from ``LATE_FROM`` times its
 #: length on; and by how many times more than on the way so far, and by what share of all, it may
 #: change with one halving.
-HALVINGS, FURTHER, LATE_CHANGE, NO_CHANGE = 60, 16.0, 4.0, 1e-3
+LATE_HALVINGS, LATE_FROM, LATE_CHANGE, NO_CHANGE = 60, 16.0, 4.0, 1e-3
 
 #: Steps of the midpoint rule along the last flight of a jump.
 FLIGHT = 8
@@ -73,14 +73,14 @@ def _keeps_law(scene: Scene, field: Field, guard: Guard, turn: Turn, k: int, t: 
     """
     now, x, limit = turn.seen[k], turn.limits[k], turn.limits[k + 1]
     *_, (begin, *came), _ = _way(field, now, now.until(turn.seen[k + 1]), t, x)
-    shares = FURTHER * 0.5 ** np.arange(HALVINGS)[:, None]
+    shares = LATE_FROM * 0.5 ** np.arange(LATE_HALVINGS)[:, None]
     states, times = x + shares * (np.array(came) - x), t + shares[:, 0] * (begin - t)
     made = np.array(
         [_after(scene, guard, s, y) for s, y in zip(times.tolist(), states, strict=True)]
     )
     laws = (made - limit) / shares
     changes = np.abs(np.diff(laws, axis=0))
-    known = int(np.log2(FURTHER))
+    known = int(np.log2(LATE_FROM))
     so_far = np.maximum.accumulate(changes, axis=0)[known - 1 : -1]
     noise = 64 * EPS * (np.abs(limit) + np.abs(x)) + 10 * turn.errors[k + 1]
     allowed = LATE_CHANGE * so_far + NO_CHANGE * np.abs(laws).max(axis=0)

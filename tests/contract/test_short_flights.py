@@ -192,3 +192,28 @@ def test_rounds_that_become_shorter_than_the_time_can_tell_are_not_passed(way, q
     before = way.run(Faster(q=q), {"c": 0.0, "w": 1.0}, (0.0, 0.9 * limit))
     assert before.status == "reached_end"
     assert 0.0 <= before.final.c <= 1.0
+
+
+class Shared(hy.Automaton):
+    """An oscillator whose reset multiplies what its guard is made of."""
+
+    x = hy.state()
+    v = hy.state()
+    share = hy.parameter(0.5)
+
+    @hy.mode
+    def swing(self, t, s):
+        return s.v, -s.x
+
+    @hy.edge(swing, to=swing, guard=lambda self, t, s: s.x, crossing=hy.RISING)
+    def kick(self, t, s):
+        return s.replace(x=self.share * s.x, v=0.9 * s.v)
+
+
+@pytest.mark.parametrize("share", [-100.0, -0.5, 0.5, 1.0])
+@pytest.mark.parametrize("x", [-1e-20, -4e-34, 0.0])
+def test_a_guard_shorter_away_than_the_time_can_tell_is_not_set_off_by_sharing_it(way, share, x):
+    """The event comes at once; of the state, which is off the guard still, a share is left."""
+    run = way.run(Shared(share=share), [x, 1.0], (0.0, 14.0))
+    assert run.jumps == 3
+    assert abs(run.final.x - 0.9**3 * np.sin(14.0)) < 1e-6  # of SciPy's tolerance, 1e-8
