@@ -105,8 +105,19 @@ def test_declarations(more, said):
         declared(more)
 
 
-@pytest.mark.parametrize("mass", [0.0, -1.0, [0.0, 0.0], "m", np.nan, np.ones((2, 3)), 1j])
+@pytest.mark.parametrize(
+    "mass",
+    [0.0, -1.0, [0.0, 0.0], "m", np.nan, np.ones((2, 3)), 1j, [[1, 2], [0, 1]], [[1, 2], [2, 1]]],
+)
 def test_inverse_masses(mass):
     """A mass is a positive number; what is none is a fault of the declaration."""
     with pytest.raises(hy.DeclarationError, match="contact floor: inverse_mass"):
         declared({}, inverse_mass=mass)
+
+
+@pytest.mark.parametrize("mass", [[1.0, 2.0], np.eye(2), lambda self, t, s: [[1.0, 2.0]]])
+def test_inverse_masses_of_another_size(mass):
+    """One number, or a matrix, for the positions of the gap."""
+    model = declared({}, inverse_mass=mass)()
+    with pytest.raises(hy.DeclarationError, match=r"contact floor: inverse_mass of shape .* where"):
+        hy.simulate(model, [1.0, 0.0], (0.0, 1.0))

@@ -335,11 +335,10 @@ class Builder:
             mass = reals(given)
         except ValueError:
             mass = np.array(np.nan)
-        diagonal = np.diagonal(mass) if mass.ndim == 2 and mass.shape[0] == mass.shape[1] else mass
-        if diagonal.ndim > 1 or not np.all(np.isfinite(mass)) or not np.all(diagonal > 0):
+        if not _is_mass(mass):
             self.faults.append(
                 f"{where}: inverse_mass={given!r}; give a number greater than 0, a diagonal of "
-                "such numbers, a symmetric matrix or a function (self, t, s)"
+                "such numbers, a symmetric positive definite matrix or a function (self, t, s)"
             )
 
     def target(self, where: str, what: str, given: Any, more: Sequence[str] = ()) -> str:
@@ -376,3 +375,13 @@ class Builder:
                 f"delays{chance}"
             )
             self.untraceable.append(function)
+
+
+def _is_mass(given: np.ndarray) -> bool:
+    """Whether numbers are an inverse mass: one, a diagonal, or a symmetric matrix, positive."""
+    if given.ndim > 2 or not np.all(np.isfinite(given)):
+        return False
+    if given.ndim < 2:
+        return bool(np.all(given > 0))
+    square = given.shape[0] == given.shape[1] and np.allclose(given, given.T, rtol=1e-12, atol=0.0)
+    return bool(square and np.all(np.linalg.eigvalsh(given) > 0))

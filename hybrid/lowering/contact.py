@@ -222,8 +222,10 @@ def _mass(
         if value.ndim == 1 and value.size > 1:
             _require_diagonal(spec, contact, value.shape, len(together))
             value = value[np.array(own)]
-        if value.ndim == 2 and len(together) > size:
+        if value.ndim > 2 or (value.ndim == 2 and len(together) > size):
             _require_diagonal(spec, contact, value.shape, len(together))
+        if value.ndim == 2 and value.shape != (size, size):
+            _require_diagonal(spec, contact, value.shape, size)
         if value.ndim < 2:
             value = jnp.broadcast_to(value, (size,))
             return jnp.diag(value)
@@ -235,7 +237,8 @@ def _mass(
 def _require_diagonal(spec: Spec, contact: ContactSpec, shape: tuple[int, ...], size: int) -> None:
     """Refuse an inverse mass without exactly one number per position."""
     if shape != (size,):
-        said = f"contact {contact.name}: inverse_mass of shape {shape} where ({size},) is due"
+        due = f"({size},)" if contact.among else f"({size},) or ({size}, {size})"
+        said = f"contact {contact.name}: inverse_mass of shape {shape} where {due} is due"
         if contact.among:
             said += f", for the positions of {contact.among[0]} to {contact.among[-1]} together"
         raise DeclarationError(spec.model, [said])
