@@ -30,6 +30,20 @@ RUNS = {
     "delayed ball": (Ball(), [1.0, 0.0], (0.0, 4.0), (0.4, 1.0, 2.2)),
 }
 
+
+class Echoing(hy.Automaton):
+    """A ball that falls in a flow with a memory of its speed."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def fly(self, t, s, past):
+        return s.v, -9.81 + 0.1 * past(0.3).v
+
+    floor = hy.contact(fly, gap=lambda self, t, s: s.x, restitution=0.5)
+
+
 #: A step may lose 1e-11 of the state, of which the cut makes one more; guards are met with a slope
 #: of at least a hundredth of the state.
 CLOSE = 1e-9
@@ -253,6 +267,26 @@ def test_a_run_that_was_interrupted_goes_on(name, steps):
     parts_fit(run)
 
 
+@pytest.mark.parametrize("until", [0.3, 0.7, math.sqrt(2 / 9.81) * 2.4, 1.2, 3.0])
+def test_a_run_of_a_few_impacts_goes_on(until):
+    """Before its last impact, at the time at which the contact is held, and later."""
+    whole = ball((0.0, 4.0), zeno="truncate", solver="taylor")
+    for end in (until, whole.zeno[0].t):
+        run = ball((0.0, end), zeno="truncate", solver="taylor")
+        joined = run + ball((end, 4.0), run, zeno="truncate", solver="taylor")
+        the_same(joined, whole)
+        assert len(joined.jumps) == len(whole.jumps)
+
+
+def test_a_run_from_a_file_goes_on_at_rest_though_its_load_sees_the_past(tmp_path):
+    run = hy.simulate(Echoing(), [1.0, 0.0], (0.0, 3.0))
+    run.save(tmp_path / "run.nc")
+    loaded = hy.load(tmp_path / "run.nc")
+    assert loaded.mode == "fly.rest(floor)"
+    on = hy.simulate(Echoing(), loaded, (3.0, 4.0))
+    assert (on.mode, *on.final) == ("fly.rest(floor)", 0.0, 0.0)
+
+
 REFUSED = [
     (lambda run: ball((2.0, 3.0), run), r"ended at t = 1.0; write t=\(run.t1, ...\)"),
     (lambda run: ball((1.0, 3.0), run, mode="flight"), "mode is the run's own; leave it out"),
@@ -260,6 +294,7 @@ REFUSED = [
     (lambda run: hy.simulate(Thermostat(), run, (1.0, 3.0)), r"one of BouncingBall\(x, v\)"),
     (lambda _: ball((3.0, 4.0), ball((0.0, 3.0), zeno="stop")), "has ended for good. .*zeno='rest"),
     (lambda run: hy.ensemble(BouncingBall(), run, (1.0, 3.0)), "run.final"),
+    (lambda run: run(0.5, True), "j = True: a whole number"),
     (lambda run: run + ball((0.0, 1.0)), "ended at t = 1.0, and the other begins at 0.0"),
     (lambda run: run + ball((1.0, 3.0)), r"ended at \(x=0.*, and the other begins at"),
     (lambda run: run + ball((1.0, 3.0), run, save="jumps"), "save='dense', and the other with"),

@@ -22,6 +22,7 @@ from .cycles import Columns
 from .driver import Driver
 from .entry import Entry, Jumped, side_before, signs_at_end
 from .noting import note
+from .truncate import HOLD
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,7 +49,7 @@ def require_end(run: Solution, spec: Spec, parameters: dict[str, Any], t: Any, g
     elif first != run.t1:
         why = f"the run ended at t = {run.t1!r}; write t=(run.t1, ...), not {t!r}"
     elif known:
-        why = f"{known[0]} is the run's own; leave it out"
+        why = f"{known[0]} is the run's own; leave it out, or start from run.final"
     elif run.log.ends_with_jump:
         why = "the run was interrupted in the middle of a jump; start it again"
     if why:
@@ -66,9 +67,9 @@ def onward(driver: Driver, run: Solution) -> Callable[[], Jumped]:
     driver.came = Jumped
     since = run.zeno[-1].t if run.zeno else -np.inf
     for place in sorted(run.own_jumps)[-RECALLED:]:
-        part = run.parts[place]
-        if isinstance(part, Arc) and part.t0 >= since:
-            _recall(driver, run, place, part, run.own_jumps[place])
+        part, row = run.parts[place], run.own_jumps[place]
+        if isinstance(part, Arc) and part.t0 >= since and not row.edge.endswith(HOLD):
+            _recall(driver, run, place, part, row)
     return partial(_came, driver, run, arc)
 
 
@@ -92,6 +93,7 @@ def _came(driver: Driver, run: Solution, arc: Arc) -> Jumped:
     if driver.scene.samples:  # on the piece that leads there
         driver.scene = driver.model.at(float(np.nextafter(driver.t, -np.inf)))
     row = run.own_jumps.get(len(run.parts) - 2)
+    row = None if row and row.edge.endswith(HOLD) else row  # as after an accumulation
     young = arc.length <= TIE * np.spacing(abs(arc.t0))
     if not (young and row):
         driver.spent = frozenset()
@@ -121,10 +123,10 @@ def _scenes(driver: Driver, run: Solution) -> Callable[..., Scene]:
 
 
 def _signs(field: Field, t: float, x: Any) -> list[int]:
-    """The sign of each guard within an arc; for one that is zero there, its sign inside the
-    domain."""
+    """The sign of each guard within an arc; for one that is zero there, or looks at a past that is
+    not at hand, its sign inside the domain."""
     values = [(guard, guard.value(t, x.tolist())) for guard in field.guards]
-    return [int(np.sign(v)) or -DIRECTIONS[guard.crossing] for guard, v in values]
+    return [int(np.sign(v)) if abs(v) > 0.0 else -DIRECTIONS[guard.crossing] for guard, v in values]
 
 
 def _after(driver: Driver, arc: Arc, before: Any, row: JumpRow) -> Jumped:

@@ -333,6 +333,8 @@ class Solution:
 
     def _arc_of(self, j: int, times: np.ndarray) -> Arc:
         """The arc after ``j`` jumps; a limit of jumps separates two arcs with the same ``j``."""
+        if isinstance(j, bool) or not isinstance(j, int | np.integer):
+            raise OptionError(f"j = {j!r}: a whole number, the jumps before an arc")
         found = [arc for arc in self.arcs if arc.j == j]
         if not found:
             raise OptionError(f"j = {j}: this run has arcs 0 to {self.arcs[-1].j}")
