@@ -35,6 +35,10 @@ STAGES = 8
 #: formula takes as many as a double has bits, so this allows for several.
 COLLOCATION_TOLERANCE, COLLOCATION_HALVINGS = 1e-12, 200
 
+#: Relative error up to which a step that is not resolved after all halvings is believed: corners
+#: leave rounding. A root of what becomes zero leaves more, as its slope has no bound there.
+UNRESOLVED = 1e-9
+
 #: Most pieces into which a step is divided so that rounding in a fast-growing direction does not
 #: hide a slow one.
 MOST_PIECES = 1000
@@ -168,11 +172,18 @@ def shorter(rate: MatrixFunction, whole: Sequence[ArcPiece], apart: float) -> It
 
 
 def _resolve(rate: MatrixFunction, piece: ArcPiece, units: np.ndarray) -> np.ndarray:
-    """The matrix of a piece by collocation, halving the piece until it is resolved."""
+    """The matrix of a piece by collocation, halving the piece until it is resolved.
+
+    Raises
+    ------
+    OrbitError
+        If it cannot be resolved.
+    """
     open_pieces, left, found = [(piece, *collocate(rate, piece))], COLLOCATION_HALVINGS, None
     while open_pieces:
         piece, once, ripple = open_pieces.pop()
-        allowed = COLLOCATION_TOLERANCE * sizes(piece, once, units)
+        size = sizes(piece, once, units)
+        allowed = COLLOCATION_TOLERANCE * size
         both, halves = once, list[tuple[ArcPiece, np.ndarray, np.ndarray]]()
         if left and np.any(ripple > allowed):
             halves = [(half, *collocate(rate, half)) for half in piece.halves()]
@@ -180,10 +191,27 @@ def _resolve(rate: MatrixFunction, piece: ArcPiece, units: np.ndarray) -> np.nda
         if np.any(np.abs(both - once) > allowed):
             left -= 1
             open_pieces += halves[::-1]
+        elif not left and np.any(ripple > UNRESOLVED * size) and not _is_fast(rate, piece):
+            raise _unbounded(piece)
         else:
             found = both if found is None else composed(both, found)
     assert found is not None
     return found
+
+
+def _is_fast(rate: MatrixFunction, piece: ArcPiece) -> bool:
+    """Whether perturbations change within a piece by as much as they are, so that there are too few
+    halvings for a stiff flow, in which they fall to rounding."""
+    tau, n = piece.start + 0.5 * piece.length, len(piece.first)
+    rates = rate(piece.t + tau, piece.segment(tau))[:, 1 : 1 + n]
+    return bool(np.abs(np.linalg.eigvals(rates)).max() * piece.length > 0.5)
+
+
+def _unbounded(piece: ArcPiece) -> OrbitError:
+    return OrbitError(
+        f"t = {piece.t + piece.start:.9g}: the derivative of the flow has no bound there, as that "
+        "of a root of what becomes zero, and the first variation cannot be followed through it"
+    )
 
 
 def sizes(piece: ArcPiece, matrix: Matrix, units: Numbers) -> Matrix:
@@ -204,12 +232,20 @@ def sizes(piece: ArcPiece, matrix: Matrix, units: Numbers) -> Matrix:
 
 def collocate(rate: MatrixFunction, piece: ArcPiece) -> tuple[np.ndarray, np.ndarray]:
     """The matrix of a piece by Gauss-Legendre collocation, and an estimate of its error: the size
-    of the last terms of the Legendre series that is integrated. Both have the same shape."""
+    of the last terms of the Legendre series that is integrated. Both have the same shape.
+
+    Raises
+    ------
+    OrbitError
+        If the flow has no finite derivative at one of its points.
+    """
     points, inner, weights, series = gauss()
     taus, whole = piece.start + piece.length * points, piece.length == piece.segment.length
     states = piece.segment.at(points) if whole else piece.segment(taus)
     pairs = zip((piece.t + taus).tolist(), states, strict=True)
     rates = np.array([rate(t, x) for t, x in pairs])[:, :, 1:]
+    if not np.all(np.isfinite(rates)):
+        raise _unbounded(piece)
     size, columns = rates.shape[1:]
     coupling = (-piece.length * inner)[:, None, :, None] * rates[:, :, None, :size]
     system = np.eye(STAGES * size) + coupling.reshape(STAGES * size, STAGES * size)
