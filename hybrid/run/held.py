@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..rules.contacts import STRAYS
+from ..rules.zeros import EPS
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -38,8 +39,8 @@ def hidden_corner(field: Field, t: float, segment: Segment, allowed: StateVector
     parts = [(segment.start, segment.end)]
     while parts:
         begin, end = parts.pop()
-        off = _off(field, t, segment, begin, end)
-        if (off <= STRAYS * allowed).all():
+        off, size = _off(field, t, segment, begin, end)
+        if (off <= STRAYS * (allowed + EPS * size)).all():
             continue
         middle = 0.5 * (begin + end)
         if end - begin <= least:
@@ -48,13 +49,17 @@ def hidden_corner(field: Field, t: float, segment: Segment, allowed: StateVector
     return None
 
 
-def _off(field: Field, t: float, segment: Segment, begin: float, end: float) -> StateVector:
-    """How far the state on what holds it goes otherwise, in a part of a step, than the flow."""
+def _off(
+    field: Field, t: float, segment: Segment, begin: float, end: float
+) -> tuple[StateVector, StateVector]:
+    """How far the state on what holds it goes otherwise, in a part of a step, than the flow; and
+    the size of what that is the difference of."""
     middle, half = 0.5 * (begin + end), 0.5 * (end - begin)
     first = field.along(t + begin, segment(begin))
     last = field.at_end(t + end, segment(end))
     rates = [_rate(field, t + tau, segment(tau)) for tau in middle + half * GAUSS_PLACES]
-    return np.abs(last - first - half * (GAUSS_WEIGHTS @ np.array(rates)))
+    moved = last - first - half * (GAUSS_WEIGHTS @ np.array(rates))
+    return np.abs(moved), np.abs(first) + np.abs(last)
 
 
 def _rate(field: Field, t: float, x: StateVector) -> StateVector:
