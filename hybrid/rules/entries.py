@@ -9,7 +9,7 @@ import math
 
 from .arrays import AutomatonArrays, Floats, Matrix, Now, Room
 from .contacts import joined
-from .guards import GUARD_ROUNDING, NEAR, holds, row_of, sizes_of, so_far
+from .guards import GUARD_ROUNDING, NEAR, TIE, holds, row_of, sizes_of, so_far
 from .hops import drowns
 from .lengths import step_length
 from .places import (
@@ -323,7 +323,8 @@ def start(
         sign before is known, either; 0 for that which has just fired, and where there is none.
     """
     moves = value > 0.0 and abs(slope) > GUARD_ROUNDING * EPS * fast
-    noise = GUARD_ROUNDING * EPS * (size + abs(t) * abs(slope) + (0.0 if moves else high))
+    noise = GUARD_ROUNDING * EPS * (size + (0.0 if moves else high))
+    noise += TIE * EPS * abs(t) * abs(slope)  # as in :func:`.ties.since`: what is tied is zero here
     if least == 0 and not abs(value) <= noise:
         return 0, 1 if value > 0.0 else -1
     back = c[2] if slope * out > 0.0 > c[2] * out else 0.0

@@ -10,6 +10,7 @@ from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
 from ..lowering import Contact, Field
 from ..rules.entries import LIMIT_SPEED
+from ..rules.guards import GUARD_ROUNDING
 from ..rules.sums import LEAST_LOSS
 from ..rules.zeros import EPS
 from ..segment import Segment
@@ -22,7 +23,7 @@ from ..zeno.cycle import CycleLimit
 from ..zeno.narrow import law_error, seen
 from ..zeno.others import apart
 from . import truncate
-from .entry import Jumped, expand
+from .entry import Jumped, expand, extent
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -201,16 +202,39 @@ def _go_on_from(
     record.limit_point(point, limit)
     _require_apart(driver, limit.x_inf)
     driver.watch.reset()
+    driver.touched = _sides_before(driver, limit.x_inf, after) if after else {}
     driver.cycles.forget()
     if rest is None:
         driver.status = Status.NO_REST if goes_on else Status.ZENO_STOPPED
     elif len(record.zeno) == driver.plan.accumulations:
         driver.status = Status.ZENO_STOPPED
-    if after and at_rest is not None:
+    if after and at_rest is not None and not driver.touched:
         driver.begin(driver.own.field(driver.scene.name(*after)), at_rest, Jumped)
         driver.seen = np.maximum(driver.seen, np.abs(limit.x_inf))
     elif after:
         driver.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))
+
+
+def _sides_before(
+    driver: Driver, x: StateVector, after: tuple[str, tuple[str, ...]]
+) -> dict[str, int]:
+    """By edge, the side on which its guard was before the limit, of those that pass zero within
+    rounding of it: the other side, but where they have fired there."""
+    sides, t = dict[str, int](), driver.t
+    field = driver.scene.field(driver.scene.name(*after))
+    for guard in field.guards:
+        if guard.kind != "edge" or guard.urgent:
+            continue
+        value, rate, _ = guard.lie(t, x.tolist())
+        noise = GUARD_ROUNDING * EPS * extent(driver.scene, guard, field, t, x, driver.seen)[0]
+        if rate and abs(value) <= noise:
+            seen = driver.cycles.seen
+            since = [
+                t - own for edge, own in zip(seen.edge, seen.t, strict=True) if edge == guard.edge
+            ]
+            fired = since and abs(rate) * since[-1] <= 2.0 * noise
+            sides[guard.edge] = int(np.sign(rate)) * (1 if fired else -1)
+    return sides
 
 
 def _require_apart(driver: Driver, x: StateVector) -> None:

@@ -80,3 +80,47 @@ def test_what_is_no_tie_fires_in_order(way, t0, apart):
         assert [r.mode for r in results] == ["two"] * len(cases)
     else:
         assert [r.edges[0] for r in results] == ["second"] * len(cases)
+
+
+class Marked(hy.Automaton):
+    """A ball, and a mark in time that is passed once."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.state()
+    mark = hy.parameter(1.0)
+
+    @hy.mode
+    def fly(self, t, s):
+        return s.v, -9.81, 0.0
+
+    floor = hy.contact(fly, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    @hy.edge(fly, to=fly, guard=lambda self, t, s: t - self.mark, crossing=hy.EITHER)
+    def passes(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+NEAR_BY = [-1000, -181, -128, -90, -30, -4, -1, 0, 1, 4, 30, 90, 128, 181, 1000]
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", *later("diffrax")])
+def test_an_event_within_rounding_of_an_impact_is_met_once(solver):
+    """In spacings of the time: what is no tie is not zero behind the impact."""
+    start = {"x": 1.0, "v": 0.0, "n": 0.0}
+    impact = hy.simulate(Marked(mark=9.0), start, (0.0, 0.6), solver=solver).jumps.t[0]
+    for spacings in NEAR_BY:
+        mark = impact + spacings * np.spacing(impact)
+        run = hy.simulate(Marked(mark=mark), start, (0.0, 0.6), solver=solver)
+        assert (run.final.n, len(run.jumps)) == (1.0, 2), spacings
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", *later("diffrax")])
+def test_an_event_within_rounding_of_a_limit_is_met(solver):
+    """Its guard passes zero there, as nothing else has changed its sign."""
+    start = {"x": 1.0, "v": 0.0, "n": 0.0}
+    limit = hy.simulate(Marked(mark=9.0), start, (0.0, 3.0), solver=solver).zeno[0].t
+    for spacings in [-40, -8, -1, 0, 1, 8, 40]:
+        mark = limit + spacings * np.spacing(limit)
+        run = hy.simulate(Marked(mark=mark), start, (0.0, 3.0), solver=solver)
+        assert (run.final.n, run.mode) == (1.0, "fly.rest(floor)"), spacings
