@@ -22,7 +22,7 @@ from .cycles import Columns
 from .driver import Driver
 from .entry import Entry, Jumped, side_before, signs_at_end
 from .noting import note
-from .truncate import HOLD
+from .truncate import HOLDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,7 +68,7 @@ def onward(driver: Driver, run: Solution) -> Callable[[], Jumped]:
     since = run.zeno[-1].t if run.zeno else -np.inf
     for place in sorted(run.own_jumps)[-RECALLED:]:
         part, row = run.parts[place], run.own_jumps[place]
-        if isinstance(part, Arc) and part.t0 >= since and not row.edge.endswith(HOLD):
+        if isinstance(part, Arc) and part.t0 >= since and not row.edge.endswith(HOLDING):
             _recall(driver, run, place, part, row)
     return partial(_came, driver, run, arc)
 
@@ -93,7 +93,7 @@ def _came(driver: Driver, run: Solution, arc: Arc) -> Jumped:
     if driver.scene.samples:  # on the piece that leads there
         driver.scene = driver.model.at(float(np.nextafter(driver.t, -np.inf)))
     row = run.own_jumps.get(len(run.parts) - 2)
-    row = None if row and row.edge.endswith(HOLD) else row  # as after an accumulation
+    row = None if row and row.edge.endswith(HOLDING) else row  # as after an accumulation
     young = arc.length <= TIE * np.spacing(abs(arc.t0))
     if not (young and row):
         driver.spent = frozenset()

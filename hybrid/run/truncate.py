@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .driver import Driver
 
 #: What is put to a contact's name for the jump that holds it.
-HOLD = ".hold"
+HOLDING = ".hold"
 
 #: Impacts of a sum whose speed is this share of the first or less lead to no higher flight: heights
 #: fall like the square of the speeds, unless the force falls to a hundredth on the way.
@@ -59,7 +59,7 @@ def hold(driver: Driver, contact: Contact, x: StateVector, field: Field) -> bool
     point.truncation = cut
     record.limit_point(point, None)
     driver.watch.reset()
-    add_jump(driver, contact.name + HOLD, x, still)
+    add_jump(driver, contact.name + HOLDING, x, still)
     driver.enter(field.mode, still, Jumped(held=held))
     return True
 
