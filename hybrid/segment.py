@@ -103,6 +103,11 @@ def interpolated(start: float, length: float, values: Matrix) -> Segment:
     return Segment(start, length, coefficients)
 
 
+def of_powers(start: float, length: float, powers: Matrix) -> Segment:
+    """The segment whose states, a row each, are given by powers of the share of its length."""
+    return Segment(start, length, from_powers(powers.shape[1] - 1) @ powers.T)
+
+
 def _basis(xi: Any, degree: int) -> np.ndarray:
     """Chebyshev polynomials at a number, or at an array of them on a new last axis."""
     terms = [xi**0, xi]

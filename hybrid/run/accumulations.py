@@ -219,21 +219,14 @@ def _sides_before(
     driver: Driver, x: StateVector, after: tuple[str, tuple[str, ...]]
 ) -> dict[str, int]:
     """By edge, the side on which its guard was before the limit, of those that pass zero within
-    rounding of it: the other side, but where they have fired there."""
+    rounding of it. (Where one has fired there, another edge's jump has ended the series.)"""
     sides, t = dict[str, int](), driver.t
     field = driver.scene.field(driver.scene.name(*after))
     for guard in field.guards:
-        if guard.kind != "edge" or guard.urgent:
-            continue
         value, rate, _ = guard.lie(t, x.tolist())
         noise = GUARD_ROUNDING * EPS * extent(driver.scene, guard, field, t, x, driver.seen)[0]
-        if rate and abs(value) <= noise:
-            seen = driver.cycles.seen
-            since = [
-                t - own for edge, own in zip(seen.edge, seen.t, strict=True) if edge == guard.edge
-            ]
-            fired = since and abs(rate) * since[-1] <= 2.0 * noise
-            sides[guard.edge] = int(np.sign(rate)) * (1 if fired else -1)
+        if guard.kind == "edge" and not guard.urgent and rate and abs(value) <= noise:
+            sides[guard.edge] = -int(np.sign(rate))
     return sides
 
 

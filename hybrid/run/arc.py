@@ -227,8 +227,7 @@ class ArcFlow:
         if self.field.project is None or self.solver.whole:
             return
         for segment in segments:
-            size = np.maximum(np.abs(segment(segment.start)), np.abs(segment(segment.end)))
-            allowed = self.plan.limit + self.plan.rtol * size
+            allowed = self.plan.limit + self.plan.rtol * np.abs(segment(segment.end))
             tau = hidden_corner(self.field, self.now.t, segment, allowed)
             if tau is not None:
                 held = " or ".join(self.field.held)

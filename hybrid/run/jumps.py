@@ -5,6 +5,7 @@ Numbers in brackets are the rules of ``docs/semantics.md``.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import copysign
 from typing import TYPE_CHECKING
 
@@ -85,7 +86,7 @@ def came_by(
     beyond = guard.urgent and has_jumped(driver, guard, before)
     known = {guard.edge: 1} if here[0] == there[0] and not beyond else {}
     off = driver.beyond_by if carried and here[0] * there[0] > 0 else 0.0
-    used, set_off = None if beyond else guard.edge, puts_off(driver, guard, before, there[0])
+    used, set_off = None if beyond else guard.edge, puts_off(driver, guard, before, here, there[0])
     beyond_by = copysign(off, there[0])
     return Jumped(known, used=used, set_off=set_off, onwards=bool(onwards), beyond_by=beyond_by)
 
@@ -99,11 +100,13 @@ def is_back(driver: Driver, guard: Guard, x: StateVector) -> bool:
     return bool(abs(guard.value(driver.t, x.tolist())) > NEAR * size)
 
 
-def puts_off(driver: Driver, guard: Guard, x: StateVector, after: float) -> bool:
-    """Whether the reset of a guard, which is ``after`` behind it, puts it off zero by more than it
-    was before: from where it is zero, too, the short way on along the flow. A reset that leaves
-    the guard as it is, or shares what is left of it, does not."""
-    t, (value, rate, _) = driver.t, guard.lie(driver.t, x.tolist())
+def puts_off(
+    driver: Driver, guard: Guard, x: StateVector, here: Sequence[float], after: float
+) -> bool:
+    """Whether the reset of a guard, which has value and rate ``here`` and is ``after`` behind it,
+    puts it off zero by more than it was: from where it is zero, too, the short way on along the
+    flow. A reset that leaves the guard as it is, or shares what is left of it, does not."""
+    t, value, rate = driver.t, here[0], here[1]
     if NEAR * abs(after) > abs(value) or not rate:
         return True
     there = x - value / rate * np.array(driver.entry.field.rhs(t, x.tolist()))

@@ -20,7 +20,7 @@ from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.cuts import MOVES
 from ..rules.zeros import EPS
-from ..segment import Segment, from_powers
+from ..segment import Segment, of_powers
 from ..solvers import Solver, Stepper
 from ..solvers.base import LEADS_BACK
 from .entry import beyond_kinks
@@ -237,7 +237,8 @@ class KinkedStepper(Stepper):
             ahead, more = ahead + more, 2.0 * more
         ahead = min(ahead, self.length - self.tau)
         start, self.tau = self.tau, self.tau + ahead
-        self._segment = _parabola(start, self.tau - start, x, ahead * rate, ahead * ahead * bend)
+        powers = np.array([x, ahead * rate, ahead * ahead * bend]).T
+        self._segment = of_powers(start, self.tau - start, powers)
         self.x = x + ahead * (rate + ahead * bend)
         self.first, self.seen = self.seen, 0.0
         self.passed, self.passes = True, self.passes + 1
@@ -257,10 +258,3 @@ class KinkedStepper(Stepper):
 
     def _flow(self, t: float, x: StateVector) -> StateVector:
         return np.array(self.field.rhs(t, x.tolist()))
-
-
-def _parabola(
-    start: float, length: float, x: StateVector, first: StateVector, second: StateVector
-) -> Segment:
-    """A segment whose state is given by powers of the share of its length."""
-    return Segment(start, length, from_powers(2) @ np.array([x, first, second]))

@@ -10,7 +10,7 @@ from ..bounds.defect import defect_of, follows
 from ..errors import FlowError
 from ..rules.arrays import Now, Room, Sums
 from ..rules.places import CROSSED, FIELD, FIRED, LOW_AHEAD, MADE, STEP_END, TAU, TO_TAU, T
-from ..segment import Segment, from_powers, terms
+from ..segment import Segment, of_powers, terms
 from ..solvers import Stepper
 from ..solvers.watchful import WatchfulStepper
 from ..zeno.flight import pieces_of, segments
@@ -50,7 +50,7 @@ class LoopStepper(Stepper):
     def segment(self) -> Segment:
         found = self._terms(self.tau)
         start = float(self.now.floats[TAU])
-        return Segment(start, self.tau - start, from_powers(found.shape[1] - 1) @ found.T)
+        return of_powers(start, self.tau - start, found)
 
     def land(self, tau: float) -> Segment:
         self.now.floats[STEP_END], self.now.ints[CROSSED] = tau, -1

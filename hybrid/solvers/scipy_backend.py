@@ -20,7 +20,7 @@ from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, OdeSolver, Radau
 
 from ..errors import FlowError, OptionError
 from ..lowering import Field
-from ..segment import Segment, from_powers, interpolated, nodes
+from ..segment import Segment, interpolated, nodes, of_powers
 from .base import FINEST, NO_FLOW_HERE, Solver, Stepper, method_of
 from .pairs import PairTables, lower
 
@@ -295,7 +295,7 @@ class RungeKuttaStepper(_OdeStepper):
     def segment(self) -> Segment:
         """The interpolant as a segment."""
         start, length, powers = self.powers()
-        return Segment(start, length, from_powers(powers.shape[1] - 1) @ powers.T)
+        return of_powers(start, length, powers)
 
 
 class SampledStepper(_OdeStepper):
