@@ -162,9 +162,8 @@ class Tables:
 
     def watches(self) -> tuple[np.ndarray, ...]:
         """Arrays for a run's guard data: see :class:`.rules.arrays.Now`, from ``orders`` on."""
-        own, all_ = (
-            np.zeros((2, count), dtype=np.int64) for count in (self.widest, len(self.guards))
-        )
+        own = np.zeros((2, self.widest), dtype=np.int64)
+        all_ = np.zeros((3, len(self.guards)), dtype=np.int64)
         return (*own, np.zeros((self.widest, ZERO_COLUMNS)), *all_)
 
     def complete(self, number: int, column: int, sight: Sight) -> None:

@@ -73,7 +73,7 @@ from .places import (
     T,
 )
 from .switches import CROSSES, SLIDES, follows
-from .ties import remembered
+from .ties import pending, remembered
 
 __all__ = ("advance",)
 
@@ -138,7 +138,8 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     if status != LANDED:
         return status
     added(now, left, guard, t, low)
-    now.tied[a.guards[guard, OWN]], now.spent[a.guards[guard, OWN]] = 0, now.ints[FLIGHTS]
+    own = a.guards[guard, OWN]
+    now.tied[own], now.touched[own], now.spent[own] = 0, 0, now.ints[FLIGHTS]
     watch(a, now, guard, kind)
     entered(a, now, to, used, power, t, low, behind)
     return LANDED
@@ -241,7 +242,7 @@ def impact(
     if not speed >= 0.0:
         return JUMP, HARD
     status, field = stays(a, now, room, t, behind, now.ints[FIELD])
-    if status != LANDED:
+    if status != LANDED or pending(a, now, guard):
         return status, field
     count = now.ints[IMPACT_COUNT] + 1 if own == now.ints[SERIES] else 1
     tried = now.floats[TRIED] if count > 1 else math.inf

@@ -109,10 +109,11 @@ class Now(NamedTuple):
         The sign that each guard has where the last step ended; of one that fires that before.
     zeros : Matrix
         For each guard of the present field its zero in a step; columns as in :mod:`.places`.
-    tied, spent : Ints
-        For each guard of the automaton, at its ``OWN``: with the sign that it had before its zero
-        the flight at whose end it was zero beside the one that fired; and that after which it has
-        fired. Flights are counted from one.
+    tied, spent, touched : Ints
+        For each guard of the automaton, at its ``OWN``, a flight, counted from one: with the sign
+        that it had before its zero that at whose end it was zero beside the one that fired, and
+        fires; that after which it has fired; and, with its sign before, that at whose end rounding
+        did not tell it from zero.
     """
 
     floats: Floats
@@ -125,6 +126,12 @@ class Now(NamedTuple):
     zeros: Matrix
     tied: Ints
     spent: Ints
+    touched: Ints
+
+    @property
+    def noted(self) -> tuple[Ints, Ints, Ints]:
+        """What is noted of guards from one flight to the next."""
+        return self.tied, self.spent, self.touched
 
 
 class Room(NamedTuple):

@@ -9,7 +9,7 @@ import math
 
 from .arrays import AutomatonArrays, Floats, Matrix, Now, Room
 from .contacts import joined
-from .guards import GUARD_ROUNDING, NEAR, TIE, holds, row_of, sizes_of, so_far
+from .guards import GUARD_ROUNDING, NEAR, TIE, at_largest, holds, row_of, sizes_of, so_far
 from .hops import drowns
 from .lengths import step_length
 from .places import (
@@ -42,11 +42,9 @@ from .places import (
     SERIES,
     SWITCH,
     URGENT,
-    USES,
-    USES_END,
     T,
 )
-from .ties import hidden_of
+from .ties import hidden_of, side_at
 from .zeros import EPS
 
 __all__ = ("alike", "at_rest", "does", "far", "own_time", "set_off", "start", "starts")
@@ -106,7 +104,8 @@ def start_of(
     own, loads, low = a.guards[guard, OWN], kind == RELEASE, False
     least, flights = now.ints[GUARD_POWER] if used else 0, now.ints[FLIGHTS]
     crossing, other, spent = a.guards[guard, CROSSING], False, now.spent[own] == flights
-    before = 1 if now.tied[own] == flights else -1 if now.tied[own] == -flights else 0
+    before = side_at(now.tied[own], flights)
+    side = side_at(now.touched[own], flights) if before == 0 else before
     urgent = a.guards[guard, URGENT] == 1
     outside = (bounds or urgent) and c[0] * crossing > 0.0
     beyond = before != 0 or outside  # rounding, of a guard that is large
@@ -126,10 +125,8 @@ def start_of(
             high = max(size, high) if high < math.inf else size
             fast = max(rate, fast) if fast < math.inf else rate
         elif kind != RELEASE and least == 0:
-            for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
-                high = max(high, now.seen[a.uses[k]])
-            high = min(high, max(size, sizes_of(a, room, guard, t, now.seen)[0]))
-        out = crossing if before == 0 else 1 if c[1] > 0.0 else -1
+            high = at_largest(a, now, room, guard, t, size)
+        out = crossing if side == 0 else 1 if c[1] > 0.0 else -1
         thrown = used or (kind == EDGE and shares(a, now, room, c))
         out = out if kind in (EDGE, SWITCH) and not thrown else 0
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least, out)
@@ -147,6 +144,7 @@ def start_of(
         hard = kind == CONTACT and a.guards[guard, BENDS] == 1
         if order > RISES or (order > 0 and hard):
             return order, HARD
+    before = side if order > 0 else before
     what = does(
         kind, crossing, bounds, order, sign, True, used, spent, loads, other, before, urgent
     )

@@ -388,6 +388,17 @@ def sizes_of(
     return size, rate, room.aside[rows[first + 2], 0]
 
 
+def at_largest(
+    a: AutomatonArrays, now: Now, room: Room, guard: int, t: float, size: float
+) -> float:
+    """The sum of the terms of an edge's guard, which is ``size`` here, at the largest states seen,
+    or the largest of these if that is less."""
+    high = 0.0
+    for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
+        high = max(high, now.seen[a.uses[k]])
+    return min(high, max(size, sizes_of(a, room, guard, t, now.seen)[0]))
+
+
 def so_far(now: Now, x: Floats) -> float:
     """The size of the largest element that flows of a state, and of all that the run has seen."""
     return max(largest(now.seen, now.ints[FLOWING]), largest(x, now.ints[FLOWING]))

@@ -14,7 +14,7 @@ from .arrays import AutomatonArrays, Floats, Left, Look, Now, Room, Sums
 from .clocks import after
 from .contacts import asks, onto
 from .entries import LIMIT_SPEED
-from .guards import GUARD_ROUNDING, largest, row_of, sizes_of, so_far
+from .guards import GUARD_ROUNDING, largest, sizes_of, so_far
 from .hops import hop
 from .jets import afresh
 from .places import (
@@ -32,7 +32,6 @@ from .places import (
     DEPENDS,
     DRIVERS,
     DUE,
-    EDGE,
     ENDS_THERE,
     ERRORS,
     EXPANSIONS,
@@ -53,7 +52,6 @@ from .places import (
     JUMPS_BEFORE,
     JUMPS_DUE,
     JUMPS_MADE,
-    KIND,
     LAST_SPEED,
     LAST_TIME,
     LOCAL,
@@ -99,7 +97,7 @@ from .sums import (
 )
 from .sums import TO_LIMIT as LIMITS
 from .tails import clear, count
-from .ties import FURTHEST_APART, late_by
+from .ties import FURTHEST_APART, keep_sides, late_by, note_sides
 from .zeros import EPS
 
 __all__ = ("go",)
@@ -287,9 +285,9 @@ def rests(
     limit, x = left.curves[first + AT_LIMIT, :n], left.curves[first + AT_REST, :n]
     end, rest = after(t, low, left.sums[tail, REMAINING])
     plain = a.fields[field, PLAIN] != 0 and onto(a, field, end, limit, room, x)
-    plain = plain and not borders(a, field, now, room, end, x)
     if not plain and proved == 0:
         return JUMP
+    keep_sides(a, now, room, t, left.after[place])
     added(now, left, guard, t, low)
     enlarged(now, left.after[place])
     now.ints[FLIGHTS] += 1
@@ -302,20 +300,6 @@ def rests(
     now.floats[PULL] = 0.0
     last = run[REST_AFTER] == ENDS_THERE or tail + 1 == left.sums.shape[0]
     return GOES_ON if plain and not last else FULL
-
-
-def borders(a: AutomatonArrays, field: int, now: Now, room: Room, t: float, x: Floats) -> bool:
-    """Whether the guard of an edge is zero at a limit, within rounding: whether it passes zero
-    there, or has just fired, is told by what was before."""
-    program = a.fields[field, FIELD_PROGRAM]
-    for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
-        if a.guards[g, KIND] == EDGE:
-            size = max(sizes_of(a, room, g, t, x)[0], sizes_of(a, room, g, t, now.seen)[0])
-            if afresh(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
-                return True
-            if not abs(room.aside[row_of(a, program, field, g), 0]) > GUARD_ROUNDING * EPS * size:
-                return True
-    return False
 
 
 def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums) -> int:
@@ -351,6 +335,7 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
     now.floats[TAU], now.floats[GAP_SPEED] = time, speed
     now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[PHASE] = 0, 1, STRIKES
     now.ints[FLIGHTS] += 1
+    note_sides(a, now, room, end)
     for piece in range(pieces):
         taken(now, left, sums, piece, run[METHOD_ORDER] > 0.0)
     now.ints[STEPS_MADE] += pieces

@@ -10,7 +10,17 @@ from __future__ import annotations
 import math
 
 from .arrays import AutomatonArrays, Floats, Now, Room
-from .guards import GUARD_ROUNDING, TIE, TIED_IN_STEP, holds, row_of, sizes_of
+from .guards import (
+    GUARD_ROUNDING,
+    NEAR,
+    TIE,
+    TIED_IN_STEP,
+    at_largest,
+    holds,
+    row_of,
+    sizes_of,
+    so_far,
+)
 from .jets import afresh
 from .lengths import behind
 from .places import (
@@ -29,6 +39,7 @@ from .places import (
     LOW,
     OFF,
     OWN,
+    RATE,
     REACHES,
     RELATIVE,
     STEP_END,
@@ -36,8 +47,10 @@ from .places import (
     SWITCH,
     TAU,
     TOLERANCES,
+    URGENT,
     USES,
     USES_END,
+    VALUE,
     WHEN,
     T,
 )
@@ -80,6 +93,7 @@ def together(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) ->
     field, event = now.ints[FIELD], now.ints[EVENT]
     first, fires = a.fields[field, GUARDS], event
     now.ints[FLIGHTS] += 1
+    note_sides(a, now, room, t)
     for g in range(first, a.fields[field, GUARDS_END]):
         if g == event:
             continue
@@ -92,8 +106,61 @@ def together(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) ->
             fires = min(fires, g)
         elif not holds(a, room, g, t, now.end):
             now.spent[a.guards[g, OWN]] = now.ints[FLIGHTS]
-    now.tied[a.guards[fires, OWN]] = 0
+    now.tied[a.guards[fires, OWN]] = now.touched[a.guards[fires, OWN]] = 0
     return fires
+
+
+def note_sides(a: AutomatonArrays, now: Now, room: Room, t: float) -> None:
+    """Note the sign before of each guard that rounding does not tell from zero where a step ends:
+    whether it has passed zero is then seen by its sign behind the jump (3)."""
+    field, reach, way = now.ints[FIELD], so_far(now, now.end), (t - now.floats[T]) - now.floats[LOW]
+    program = a.fields[field, FIELD_PROGRAM]
+    first, last = a.fields[field, GUARDS], a.fields[field, GUARDS_END]
+    if last - first < 2:
+        return
+    if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
+        return
+    for g in range(first, last):
+        for k in range(2):
+            now.zeros[g - first, VALUE + k] = room.aside[row_of(a, program, field, g), k]
+    for g in range(first, last):
+        value, rate = now.zeros[g - first, VALUE], now.zeros[g - first, RATE]
+        if a.guards[g, KIND] in (EDGE, SWITCH) and abs(value) <= NEAR * reach:
+            noise = hidden_at(a, now, room, g, t, rate)
+            stays = now.orders[g - first] == 1 and abs(rate) * way <= 2.0 * noise
+            side = 1 if rate > 0.0 else -1  # it was zero when the arc began, and has left since
+            if abs(value) <= noise:
+                side = side if stays else now.signs[g - first]
+                now.touched[a.guards[g, OWN]] = side * now.ints[FLIGHTS]
+
+
+def side_at(noted: int, flights: int) -> int:
+    """The sign that is noted of a guard for the end of a flight; 0 if it is for another's."""
+    return 1 if noted == flights else -1 if noted == -flights else 0
+
+
+def keep_sides(a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats) -> None:
+    """Note for the limit of a sum the side on which the guard of each edge is where it begins: the
+    state does not jump there, so a guard that is zero comes from that side. One that is urgent
+    fires at the limit, whatever was before."""
+    field, flights = now.ints[FIELD], now.ints[FLIGHTS]
+    program, first = a.fields[field, FIELD_PROGRAM], a.fields[field, GUARDS]
+    if afresh(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
+        return
+    for g in range(first, a.fields[field, GUARDS_END]):
+        own, value = a.guards[g, OWN], room.aside[row_of(a, program, field, g), 0]
+        if a.guards[g, KIND] == EDGE and a.guards[g, URGENT] == 0:
+            side = side_at(now.touched[own], flights)
+            side = (1 if value > 0.0 else -1 if value < 0.0 else 0) if side == 0 else side
+            now.touched[own] = side * (flights + 1)
+
+
+def hidden_at(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float, rate: float) -> float:
+    """How far from zero a guard may be at ``now.end`` to be taken for zero on entering a mode
+    (:func:`.entries.start`)."""
+    size, _, _ = sizes_of(a, room, guard, t, now.end)
+    high = at_largest(a, now, room, guard, t, size)
+    return GUARD_ROUNDING * EPS * (size + high) + TIE * EPS * abs(t) * abs(rate)
 
 
 def gathered(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, most: float) -> float:
@@ -120,14 +187,22 @@ def gathered(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, mo
     return later
 
 
-def remembered(a: AutomatonArrays, now: Now, fired: int) -> bool:
-    """Whether any other guard was zero at this time, or has fired."""
+def pending(a: AutomatonArrays, now: Now, fired: int) -> bool:
+    """Whether another guard was zero at this time and fires after the jump."""
     field, flights = now.ints[FIELD], now.ints[FLIGHTS]
     for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
-        own = a.guards[g, OWN]
-        if g != fired and (abs(now.tied[own]) == flights or now.spent[own] == flights):
+        if g != fired and abs(now.tied[a.guards[g, OWN]]) == flights:
             return True
     return False
+
+
+def remembered(a: AutomatonArrays, now: Now, fired: int) -> bool:
+    """Whether another guard was zero at this time and fires after the jump, or has fired."""
+    field, flights = now.ints[FIELD], now.ints[FLIGHTS]
+    for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
+        if g != fired and now.spent[a.guards[g, OWN]] == flights:
+            return True
+    return pending(a, now, fired)
 
 
 def beside(a: AutomatonArrays, now: Now, guard: int) -> bool:

@@ -10,7 +10,6 @@ from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
 from ..lowering import Contact, Field
 from ..rules.entries import LIMIT_SPEED
-from ..rules.guards import GUARD_ROUNDING
 from ..rules.sums import LEAST_LOSS
 from ..rules.zeros import EPS
 from ..segment import Segment
@@ -23,7 +22,7 @@ from ..zeno.cycle import CycleLimit
 from ..zeno.narrow import law_error, seen
 from ..zeno.others import apart
 from . import truncate
-from .entry import Jumped, expand, extent
+from .entry import Jumped, expand
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -136,14 +135,15 @@ def pass_sum(driver: Driver, tail: Tail, at_rest: StateVector | None = None) -> 
     ``at_rest``: the state there, already projected onto the held contacts, if it is known.
     """
     contact, record, part = tail.contact, driver.record, TailPart(tail, driver.record.j)
+    sides = _sides(driver, tail.field, tail.x)
     record.keep(part)
     record.j += tail.count
     record.now = record.now.after(tail.remaining)
-    driver.tied, driver.spent = {}, frozenset((contact.name,))
+    driver.spent = frozenset((contact.name,))
     held = (*tail.field.held, contact.name)
     after = (tail.field.mode, held) if contact.rests else None
     driver.wary = driver.plan.watchful is not None
-    _go_on_from(driver, tail, (contact.name,), tail.r, after, at_rest)
+    _go_on_from(driver, tail, (contact.name,), tail.r, after, sides, at_rest)
 
 
 def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> None:
@@ -155,13 +155,14 @@ def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> 
     straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, found.x_inf])
     segments = [Segment(0.0, found.remaining, straight)] if found.remaining else []
     field = driver.scene.field(driver.scene.name(mode, held))
+    sides = _sides(driver, field, x)
     record.arc(field, x, found.x_inf, found.remaining, segments)
     if not found.remaining:  # impacts at one instant may have opened others
         held = driver.still_held(mode, found.x_inf)
     after = _after(driver, found.edges, held)
     if after is not None and not np.isfinite(driver.closed(*after, found.x_inf)).all():
         after = None  # contacts that close on a body from both sides leave it no rest
-    _go_on_from(driver, found, found.edges, found.ratio, after)
+    _go_on_from(driver, found, found.edges, found.ratio, after, sides)
 
 
 def _after(
@@ -187,6 +188,7 @@ def _go_on_from(
     edges: tuple[str, ...],
     ratio: float,
     after: tuple[str, tuple[str, ...]] | None,
+    sides: dict[str, int],
     at_rest: StateVector | None = None,
 ) -> None:
     """Record an accumulation and begin what follows it: a mode and the contacts held there."""
@@ -202,32 +204,27 @@ def _go_on_from(
     record.limit_point(point, limit)
     _require_apart(driver, limit.x_inf)
     driver.watch.reset()
-    driver.touched = _sides_before(driver, limit.x_inf, after) if after else {}
+    driver.touched = sides
     driver.cycles.forget()
     if rest is None:
         driver.status = Status.NO_REST if goes_on else Status.ZENO_STOPPED
     elif len(record.zeno) == driver.plan.accumulations:
         driver.status = Status.ZENO_STOPPED
-    if after and at_rest is not None and not driver.touched:
+    if after and at_rest is not None:
         driver.begin(driver.own.field(driver.scene.name(*after)), at_rest, Jumped)
         driver.seen = np.maximum(driver.seen, np.abs(limit.x_inf))
     elif after:
         driver.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))
 
 
-def _sides_before(
-    driver: Driver, x: StateVector, after: tuple[str, tuple[str, ...]]
-) -> dict[str, int]:
-    """By edge, the side on which its guard was before the limit, of those that pass zero within
-    rounding of it. (Where one has fired there, another edge's jump has ended the series.)"""
-    sides, t = dict[str, int](), driver.t
-    field = driver.scene.field(driver.scene.name(*after))
-    for guard in field.guards:
-        value, rate, _ = guard.lie(t, x.tolist())
-        noise = GUARD_ROUNDING * EPS * extent(driver.scene, guard, field, t, x, driver.seen)[0]
-        if guard.kind == "edge" and not guard.urgent and rate and abs(value) <= noise:
-            sides[guard.edge] = -int(np.sign(rate))
-    return sides
+def _sides(driver: Driver, field: Field, x: StateVector) -> dict[str, int]:
+    """By edge, the side on which its guard is where an accumulation begins to be passed: the state
+    does not jump at the limit, so a guard that is zero there comes from that side. One that is
+    urgent fires there, whatever was before."""
+    t, state = driver.t, x.tolist()
+    guards = [guard for guard in field.guards if guard.kind == "edge" and not guard.urgent]
+    sides = {guard.edge: int(np.sign(guard.value(t, state))) for guard in guards}
+    return sides | {edge: side for edge, side in driver.touched.items() if edge in sides}
 
 
 def _require_apart(driver: Driver, x: StateVector) -> None:

@@ -36,7 +36,7 @@ from ..trajectory.clock import Instant
 from ..trajectory.plan import Plan
 from ..zeno.flight import falls
 from .border import leaving, within
-from .entry import Entry, departed, describe, expand, heading, opened, side_before
+from .entry import Entry, departed, describe, expand, heading, opened, side_before, zero_within
 from .held import hidden_corner
 from .kinked import begin
 from .losses import MAY_HIDE, Losses
@@ -309,10 +309,13 @@ class ArcFlow:
         for index, guard in enumerate(self.field.guards):
             if guard.kind in ("edge", "switch") and guard.edge not in self.tied:
                 value, rate, bend = guard.lie(t, x)
-                noise = self._rounding(index, t, x) + TIE * np.spacing(abs(t)) * abs(rate)
+                off = zero_within(self.scene, guard, self.field, t, stepper.x, self.losses.seen)
+                noise = max(off, self._rounding(index, t, x))
                 if abs(value) <= noise:
                     inside = -DIRECTIONS[guard.crossing] if guard.bounds else 0
-                    found[guard.edge] = inside or side_before(rate, bend, noise)
+                    stays = self.entered[index] == 1 and abs(rate) * stepper.tau <= 2.0 * noise
+                    side = int(np.sign(rate)) if stays else side_before(rate, bend, noise)
+                    found[guard.edge] = inside or side
         return found
 
     def _since(self, index: int, before: int, t: float, x: list[float]) -> float:

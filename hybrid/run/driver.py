@@ -171,7 +171,7 @@ class Driver:
         """Whether the compiled loop knows enough to examine the start of the next arc."""
         more = jumped.limit - self.scene.contacts or jumped.passing is not None
         bears = jumped.starting and jumped.held
-        if self.loop is None or more or bears or len(jumped.vanishing) > 1 or self.touched:
+        if self.loop is None or more or bears or len(jumped.vanishing) > 1:
             return False
         field, alone = self.own.field(self.mode), self.record.memory is None or jumped.starting
         alone = alone and self.record.now.until(min(self.plan.t1, self.scene.until)) > 0

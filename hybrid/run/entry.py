@@ -258,6 +258,16 @@ def extent(
     ]
 
 
+def zero_within(
+    scene: Scene, guard: Guard, field: Field, t: float, x: StateVector, seen: StateVector
+) -> float:
+    """How far from zero the guard of an edge may be to be taken for zero where a mode is entered
+    (:func:`hybrid.rules.entries.start`)."""
+    here, rate, _ = scene.rounding(guard, field)(t, x.tolist())
+    far = extent(scene, guard, field, t, x, seen)[0]
+    return GUARD_ROUNDING * EPS * (here + far) + TIE * EPS * abs(t) * abs(rate)
+
+
 def heading(
     scene: Scene, t: float, mode: str, x: StateVector, edge: str, seen: StateVector
 ) -> tuple[int, int]:

@@ -25,7 +25,16 @@ from ..trajectory.trajectory import Status
 from ..zeno.accumulate import hop
 from . import clocks, switch
 from .accumulations import accumulate
-from .entry import Entry, Jumped, before_impact, beyond_kinks, extent, jumped_over, opened
+from .entry import (
+    Entry,
+    Jumped,
+    before_impact,
+    beyond_kinks,
+    extent,
+    jumped_over,
+    opened,
+    zero_within,
+)
 from .limits import pass_limit
 from .noting import add_jump
 
@@ -191,7 +200,11 @@ def bounce(
         due = add_jump(driver, guard.edge, before, after)
         driver.mode = driver.scene.name(guard.to, held)
         contact = driver.scene.contact(guard.edge)
-        if driver.status is not None or accumulate(driver, contact, after, speed, driver.mode):
+        if driver.status is not None:
+            return
+        if driver.tied:  # another edge fires at this time
+            break
+        if accumulate(driver, contact, after, speed, driver.mode):
             return
         if due and pass_limit(driver, guard.to):
             return
@@ -199,9 +212,23 @@ def bounce(
         if low is None:
             break
         before, after, speed = low
+        driver.touched = _near_zero(driver, before)
     known, last = {guard.edge: 1 if speed > 0 else 2}, driver.record.log.kept[-1]
     series = driver.watch.count > 1 and isinstance(last, Arc) and last.length > 0
     driver.enter(guard.to, after, Jumped(known, held, series=series))
+
+
+def _near_zero(driver: Driver, x: StateVector) -> dict[str, int]:
+    """By edge, the sign of its guard at the end of a low flight, if it is zero but for rounding: a
+    flight in which none comes nearer to zero."""
+    found, scene, field, t = dict[str, int](), driver.scene, driver.entry.field, driver.t
+    for guard in field.guards:
+        value = guard.value(t, x.tolist())
+        if guard.kind in ("edge", "switch") and abs(value) <= zero_within(
+            scene, guard, field, t, x, driver.seen
+        ):
+            found[guard.edge] = int(np.sign(value))
+    return found
 
 
 def _require_series(driver: Driver, contact: str, x: StateVector, field: Field) -> None:

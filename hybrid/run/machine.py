@@ -209,8 +209,7 @@ class Machine:
                 return
             driver.watch = Watch(*self._series())
             if status != FULL:
-                driver.tied = self._tied()
-                driver.spent |= self._over()
+                self._tell_sides()
                 self._lower()
                 driver.look_again()
                 return
@@ -363,10 +362,11 @@ class Machine:
         """Complete the tables with what the loop has asked for, and make room for it."""
         with np.errstate(all="ignore"):
             self.tables.complete(int(self.ints[LACKING]), int(self.ints[LACKING_AT]), bounded)
-        tied, spent = self.now.tied.copy(), self.now.spent.copy()
+        known = [noted.copy() for noted in self.now.noted]
         self._take()
         self._forget()
-        self.now.tied[: len(tied)], self.now.spent[: len(spent)] = tied, spent
+        for noted, was in zip(self.now.noted, known, strict=True):
+            noted[: len(was)] = was
 
     def _take(self) -> None:
         """Work in arrays that are large enough for the tables as they are now."""
@@ -458,8 +458,10 @@ class Machine:
         x[:], seen[:], ints[FLIGHTS] = entry.x, driver.seen, 1
         self._forget()
         self.now.orders[: len(entry.orders)] = entry.orders
-        for g, guard in enumerate(self.tables.guards if driver.tied or driver.spent else ()):
+        noted = driver.tied or driver.spent or driver.touched
+        for g, guard in enumerate(self.tables.guards if noted else ()):
             self.now.tied[g] = driver.tied.get(guard.edge, 0)
+            self.now.touched[g] = driver.touched.get(guard.edge, 0)
             self.now.spent[g] = guard.edge in driver.spent
         driver.tied, driver.touched = {}, {}
 
@@ -645,9 +647,8 @@ class Machine:
             driver.entry = attrs.evolve(driver.entry, x=x, field=driver.field)
             clocks.go_by(driver, due, x)
         else:
-            driver.tied = self._tied()
             before = self._last(left)
-            driver.spent |= self._over()
+            self._tell_sides()
             if driver.record.memory is not None:
                 driver.record.memory.told = False
             driver.entry = attrs.evolve(driver.entry, field=driver.field)
@@ -660,12 +661,18 @@ class Machine:
                 driver.beyond_by = abs(float(self.floats[BEYOND_BY])) if self._jumped else 0.0
                 driver.jump(self.fired, before, self._jumped)
 
-    def _tied(self) -> dict[str, int]:
-        """By edge, the sign before its zero of each guard that was zero when the last flight
-        ended."""
-        tied, flights = self.now.tied, int(self.ints[FLIGHTS])
-        rows = np.flatnonzero((np.abs(tied) == flights) & (tied != 0)).tolist()
-        return {self.tables.guards[g].edge: int(tied[g]) // flights for g in rows}
+    def _tell_sides(self) -> None:
+        """Tell the driver which guards were zero when the last flight ended, and from which side
+        they came."""
+        now, driver = self.now, self.driver
+        driver.tied, driver.touched = self._noted(now.tied), self._noted(now.touched)
+        driver.spent |= self._over()
+
+    def _noted(self, sides: np.ndarray) -> dict[str, int]:
+        """By edge, what is noted of guards for the end of the last flight: a sign."""
+        flights = int(self.ints[FLIGHTS])
+        rows = np.flatnonzero((np.abs(sides) == flights) & (sides != 0)).tolist()
+        return {self.tables.guards[g].edge: int(sides[g]) // flights for g in rows}
 
     def _over(self) -> set[str]:
         """The edges that have fired, or were passed over, at the time when the last flight
