@@ -16,7 +16,7 @@ import math
 
 from .arrays import AutomatonArrays, Floats, Ints, Left, Matrix, Now, Room
 from .checks import along
-from .clocks import beside, close, ended, wind
+from .clocks import arc_end, beside, close, ended, wind
 from .contacts import onto, strays
 from .cuts import beyond_kink, straight, with_cuts
 from .dense import event_along, foreseen
@@ -58,7 +58,6 @@ from .places import (
     LANDED,
     LANDINGS_TRIED,
     LANDS,
-    LAST_TIME,
     LOOK,
     LOOKS,
     LOW,
@@ -127,7 +126,7 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, short: Room, left
         return LOOK
     status = GOES_ON
     while status == GOES_ON:
-        run[UNTIL] = min(run[LAST_TIME], now.floats[DUE])
+        run[UNTIL] = arc_end(run, now)
         phase, own = now.ints[PHASE], short if now.ints[SHORT] == 1 else room
         if phase == BEGINS:
             status = begins(a, run, now, room)

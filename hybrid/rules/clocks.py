@@ -34,6 +34,7 @@ from .places import (
     OWN,
     PHASE,
     RINGS,
+    RUN_END,
     STEP_END,
     STEPS_LOST,
     STEPS_MADE,
@@ -42,6 +43,7 @@ from .places import (
     WATCHED,
     T,
 )
+from .record import slack
 from .ties import ago, hidden_of, near
 from .zeros import EPS
 
@@ -53,6 +55,20 @@ def after(t: float, low: float, duration: float) -> tuple[float, float]:
     low = (t - (total - back)) + (duration - back) + low
     now = total + low
     return now, low - (now - total)
+
+
+def arc_end(run: Floats, now: Now) -> float:
+    """The latest end of an arc: the next ring of a clock, or else the end of the run, of the
+    windows of the past or of the piece of a signal."""
+    due = now.floats[DUE]
+    return due if due <= last_ring(run) else max(run[LAST_TIME], now.floats[T])
+
+
+def last_ring(run: Floats) -> float:
+    """The latest time at which a clock rings before windows, or a piece, end: a ring that only the
+    rounding of these times has behind their end is there, and sees what was before."""
+    last = run[LAST_TIME]
+    return last if last >= run[RUN_END] else min(run[RUN_END], last + slack(last))
 
 
 def wind(a: AutomatonArrays, now: Now, room: Room, t: float, low: float) -> None:
@@ -128,7 +144,7 @@ def close(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) -> bo
 def ended(a: AutomatonArrays, run: Floats, now: Now, room: Room, length: float) -> int:
     """End an arc at its last time: ``END``, or ``LANDED`` if a clock rings; ``LOOK`` if a guard is
     zero there, too, or may fire before any flow."""
-    if now.floats[DUE] > run[LAST_TIME]:
+    if now.floats[DUE] > last_ring(run):
         return END
     first, last = a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]
     if now.ints[MADE] == 0 and first < last:

@@ -58,6 +58,7 @@ from .places import (
     PULL,
     RATIO,
     REMAINING,
+    RUN_END,
     SERIES,
     SERIES_REACH,
     SHORT,
@@ -157,7 +158,7 @@ def lanes(
         if stop[0] != 0:
             return made
         bound(a, parts, given, ranged, ops, more, numbers, values[lane], room)
-        run[LAST_TIME] = spans[lane, 1]
+        run[LAST_TIME] = run[RUN_END] = spans[lane, 1]
         begun(a, now, spans[lane, 0], starts[lane], field)
         status = go(a, run, now, room, left, sums, look)
         while run[METHOD_ORDER] > 0.0 and answers(status, a, run, now, room, pair):

@@ -69,7 +69,7 @@ CLOCK = 6  # a clock; it has a time, and no guard function
 RISES, PULLED = 3, 2
 
 #: Numbers of a run.
-LAST_TIME = 0  # the end of the run
+LAST_TIME = 0  # the end of the run, of the windows of the past or of the piece of a signal
 ABSOLUTE = 1  # the absolute tolerance that is least
 RELATIVE = 2  # the relative tolerance
 SPEED_FALL = 3  # a sum is tried again once the speed has fallen by this factor
@@ -82,8 +82,9 @@ WATCHED = 9  # 1 if steps are checked against the flow all along
 METHOD_ORDER = 10  # the order of the outside solver; 0 with Taylor steps
 JUMPS_DUE = 11  # the number of jumps after which new windows of the past are needed
 UNTIL = 12  # the latest end of the current arc
-STEP_LOSS = 13  # the error that a Taylor step may make, relative to the state
-TOLERANCES = 14  # from here on, the absolute tolerance of each state
+RUN_END = 13  # the end of the run
+STEP_LOSS = 14  # the error that a Taylor step may make, relative to the state
+TOLERANCES = 15  # from here on, the absolute tolerance of each state
 
 #: Numbers of the current state.
 T = 0  # the time at which the arc began

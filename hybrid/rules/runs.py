@@ -11,7 +11,7 @@ import math
 from .advance import added, advance, enlarged, entered
 from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Look, Now, Room, Sums
-from .clocks import after
+from .clocks import after, arc_end
 from .contacts import asks, onto
 from .entries import LIMIT_SPEED
 from .guards import GUARD_ROUNDING, largest, sizes_of, so_far
@@ -31,7 +31,6 @@ from .places import (
     CURVE_ROWS,
     DEPENDS,
     DRIVERS,
-    DUE,
     ENDS_THERE,
     ERRORS,
     EXPANSIONS,
@@ -112,7 +111,7 @@ def go(
 ) -> int:
     """Go on from ``now``; returns a status that says what is needed from outside
     (:mod:`.places`)."""
-    status, run[UNTIL] = GOES_ON, min(run[LAST_TIME], now.floats[DUE])
+    status, run[UNTIL] = GOES_ON, arc_end(run, now)
     while status == GOES_ON:
         status = advance(a, run, now, room, sums.short, left)
         if status == SUM:

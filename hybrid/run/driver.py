@@ -13,7 +13,7 @@ import attrs
 import numpy as np
 
 from ..delay.memory import Memory
-from ..delay.pieces import Piece
+from ..delay.pieces import Piece, slack_of
 from ..errors import FlowError, JumpLoopError, StartError
 from ..lowering import Field, Guard, Scene, released
 from ..lowering.scene import parted
@@ -234,6 +234,13 @@ class Driver:
         memory = self.record.memory
         return min(self.plan.t1, self.scene.until) if memory is None else memory.until
 
+    def horizon_before(self, due: float) -> float:
+        """The end of the next arc at the latest: the next ring of a clock, which is ``due``, or the
+        horizon (:func:`hybrid.rules.clocks.last_ring`)."""
+        until = self.horizon
+        last = min(self.plan.t1, until + slack_of(until)) if until < self.plan.t1 else until
+        return due if due <= last else until
+
     @property
     def known(self) -> float:
         """The time until which the windows of the past are known rather than guessed."""
@@ -339,9 +346,9 @@ class Driver:
     def flow_arc(self) -> None:
         """Flow an arc step by step and carry out the jump that ends it."""
         entry, now, memory = self.entry, self.record.now, self.record.memory
-        (_, due), until = clocks.due(self, entry.field, entry.x), self.horizon
-        self.losses.seen, last = self.seen, min(due, until)
-        known, jumped = (self.scene, self.flies, self.plan, entry, now, last), self.jumped
+        _, due = clocks.due(self, entry.field, entry.x)
+        until, self.losses.seen = self.horizon_before(due), self.seen
+        known, jumped = (self.scene, self.flies, self.plan, entry, now, until), self.jumped
         carried = jumped.used if jumped.beyond_by else None
         arc = ArcFlow(*known, self.losses, carried, jumped.spent)
         flown = arc.run()
@@ -358,7 +365,7 @@ class Driver:
             edge = entry.field.guards[index].edge
             self.record.grazings.append(Jump(now.t + tau, self.record.j, edge, record, record))
         fired = None if flown.fired is None else entry.field.guards[flown.fired]
-        at_clock = due <= until and not flown.interrupted
+        at_clock = due == until and not flown.interrupted
         clock, tied = None, False
         if at_clock:
             flown = self._gather(flown, due)

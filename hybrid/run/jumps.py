@@ -138,11 +138,22 @@ def _release(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> Non
     driver.record.released(contact, driver.t)
     driver.watch.reset()
     add_jump(driver, guard.edge, x, x)
-    known = {contact: PULLED if overdue or driver.forgets else RISES}
+    overdue = overdue or (driver.forgets and not _bears_nothing(driver, guard, x))
+    known = {contact: PULLED if overdue else RISES}
     if carried and opened(driver.scene, field.mode, contact, driver.t, x):
         known = {}
     held = tuple(name for name in field.held if name != contact)
     driver.enter(field.mode, x, Jumped(known, held))
+
+
+def _bears_nothing(driver: Driver, guard: Guard, x: StateVector) -> bool:
+    """Whether the load of a release is still zero, to its rounding, through the past that begins
+    anew behind it."""
+    driver.look(x)
+    field = driver.scene.field(driver.entry.field.name)
+    load, state = field.guard(guard.edge), x.tolist()
+    size = float(driver.scene.rounding(load, field)(driver.t, state)[0])
+    return abs(load.value(driver.t, state)) <= GUARD_ROUNDING * EPS * size
 
 
 def _impact(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:

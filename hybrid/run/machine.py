@@ -147,7 +147,7 @@ class Machine:
         ends = GOES_ON_AT_REST if plan.zeno == "rest" else ENDS_THERE
         summed = (plan.memory == "keep" or not scene.spec.lags) and not moving
         sums = ends if summed else DRIVERS, plan.closing
-        last = (0.0, last[0], np.inf, plan.t1, *last[1:])
+        last = (0.0, last[0], np.inf, plan.t1, plan.t1, *last[1:])
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
         self.n = n
@@ -348,7 +348,7 @@ class Machine:
         entry = driver.entry
         x = driver.record.extend(entry.field, entry.x, x, tau, segments)
         driver.entry = attrs.evolve(entry, x=x)
-        pass_knot(driver, t, x)
+        pass_knot(driver, max(t, driver.t), x)
         return True
 
     def _come_to_piece(self) -> None:

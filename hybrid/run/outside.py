@@ -86,7 +86,7 @@ class Outside:
 
     def _begin_arc(self, now: Now, room: Room) -> None:
         plan, seen = self.driver.plan, bool(self.driver.scene.spec.windows)
-        until = min(self.driver.horizon, float(now.floats[DUE]))
+        until = self.driver.horizon_before(float(now.floats[DUE]))
         length = (until - float(now.floats[T])) - float(now.floats[LOW])
         first, aim, sizes = float(now.floats[FIRST_LENGTH]), float(now.floats[AIM]), None
         first = min(first, length if seen else SAFETY * length)  # a window may be one step
