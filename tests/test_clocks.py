@@ -420,3 +420,65 @@ def test_what_fires_behind_a_jump_at_the_last_time_fires(solver):
     lanes = hy.ensemble(Chain(), {"x": [0.0, 0.0]}, (0.0, 1.0), solver=solver)
     assert lanes["mode"].values.tolist() == ["on"] * 2
     assert lanes["jumps"].values.tolist() == [3] * 2
+
+
+class Delayed(hy.Automaton):
+    """A clock that counts its rings, and at each reads what the count was some rings before."""
+
+    count = hy.state()
+    seen = hy.state()
+    period = hy.parameter(0.1)
+    lag = hy.parameter(0.3)
+
+    @hy.mode(initial=True)
+    def flow(self, t, s):
+        return 0.0, 0.0
+
+    @hy.edge(flow, every="period")
+    def ring(self, t, s, past):
+        return s.replace(count=s.count + 1.0, seen=past(self.lag).count)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("period", [0.1, 0.125, 1 / 3, 0.07])
+def test_a_ring_sees_the_record_before_the_ring_a_lag_ago(solver, period):
+    """The lag is three periods, in exact arithmetic: which side of that ring is seen does not
+    depend on the rounding of their times."""
+    model = Delayed(period=period, lag=3 * period)
+    run = hy.simulate(model, [0.0, 0.0], (0.0, 40.5 * period), solver=solver)
+    assert run.jumps.after.seen == pytest.approx([0.0, 0.0, 0.0, *np.arange(0.0, 37.0)], abs=1e-12)
+
+
+class Held(hy.Automaton):
+    """A clock that reads a held signal where it changes."""
+
+    seen = hy.state()
+    force = hy.signal(kind="previous", outside="hold")
+
+    @hy.mode(initial=True)
+    def flow(self, t, s):
+        return 0.0 * s.seen
+
+    @hy.edge(flow, every=0.1)
+    def ring(self, t, s):
+        return self.force(t)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("looped", [True, False])
+def test_a_ring_at_a_knot_sees_the_signal_before_it(solver, looped, monkeypatch):
+    """The times of the data are decimal numbers, those of the clock multiples of its period."""
+    times = [float(f"{k / 10:.1f}") for k in range(42)]
+    model = Held(force=(times, np.arange(42.0)))
+    if not looped:
+        without_loop(monkeypatch)
+    run = hy.simulate(model, [0.0], (0.0, 4.05), solver=solver)
+    assert run.jumps.t.tolist() == [k * 0.1 for k in range(1, 41)]
+    assert run.jumps.after.seen.tolist() == np.arange(0.0, 40.0).tolist()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_clock_behind_the_end_of_a_run_does_not_ring(solver):
+    """However little."""
+    run = hy.simulate(Delayed(), [0.0, 0.0], (0.0, np.nextafter(0.3, 0.0)), solver=solver)
+    assert run.final.count == 2.0

@@ -321,3 +321,49 @@ def test_an_impact_just_after_a_window_begins():
     model = Tossed(first=4.522946536544237e-4, second=9.045893073088474e-4)
     run = hy.simulate(model, [1.1962981157030337, 0.0], (100, 104), solver="taylor", rtol=1e-12)
     assert run.status is hy.Status.REACHED_END
+
+
+class Slides(hy.Automaton):
+    """A lag that grows where the start is seen, and does not where the history is."""
+
+    y = hy.state()
+    x = hy.state()
+
+    @hy.mode(initial=True)
+    def flow(self, t, s, past):
+        return 0.0 * s.y, 1.0 + past(0.5 + s.x).y
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", *later("diffrax")])
+def test_a_lag_that_looks_along_a_jump_of_the_record_has_no_way_on(solver):
+    """What it sees is led back to the jump from both sides."""
+    with pytest.raises(hy.FlowError, match=r"t = 0\.5000.* looks at a jump of the record"):
+        hy.simulate(Slides(), [1.0, 0.0], (0.0, 2.0), history={"y": -1.0}, solver=solver)
+
+
+class Lifted(hy.Automaton):
+    """A body on the floor that a force lifts smoothly, and that sees its place a lag ago."""
+
+    x = hy.state()
+    v = hy.state()
+    g = hy.parameter(3.5895367670496596)
+    f = hy.parameter(7.970509225791227)
+    c = hy.parameter(21.48415397955616)
+    d = hy.parameter(0.4804184990778926)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s, past):
+        pull = self.c * (past(self.d).x - s.x)
+        return s.v, -self.g + pull + self.f * jnp.sin(3.0 * t)
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.2)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", *later("diffrax")])
+@pytest.mark.parametrize("memory", ["keep", "restart"])
+def test_a_smooth_release_happens_once(solver, memory):
+    """Where the load is zero, as no past jumps by it: a lag later or not."""
+    options = {"mode": "flight.rest(floor)", "memory": memory, "solver": solver, "rtol": 1e-10}
+    run = hy.simulate(Lifted(), [0.0, 0.0], (0.0, 0.4557), **options)
+    assert run.jumps.edge.tolist() == ["floor.release"]
+    assert run.jumps.t[0] == pytest.approx(math.asin(Lifted().g / Lifted().f) / 3.0, rel=1e-12)

@@ -104,6 +104,10 @@ SUMS = 8
 #: Largest degree of dense output that is refined if the method is of higher order.
 CUBIC = 3
 
+#: The length of a window, in slacks of the time, that is no time to speak of; and how many of them
+#: in a row show that a lag goes no way from where it looks.
+BRIEF_WINDOW, MOST_TURNS = 8.0, 100
+
 #: Matrix from coefficients in powers of the fraction of a step to Chebyshev coefficients.
 TURN = np.ascontiguousarray(from_powers(WIDTH - 1))
 
@@ -172,6 +176,7 @@ class Memory:
         self._before = np.zeros(STATE_FLOATS), ints, np.zeros((3, len(x)))
         self._begun, self._joins = np.zeros(len(x)), False
         self._looks_back, self._reach = False, dict[Any, Any]()
+        self._turned = -np.inf, 0
 
     @property
     def start(self) -> StateVector:
@@ -517,6 +522,8 @@ class Memory:
 
         ``fired`` is the edge of the guard that detects that a varying lag leaves its window.
         """
+        if fired:
+            self._require_way(t, fired)
         key = field.mode, field.held
         if key not in self._reach:
             self._reach[key] = reach([field])
@@ -527,3 +534,21 @@ class Memory:
         ends = window_ends(self.scene.spec)
         unit("past").ended(t, 0, ends.index(fired) if fired else -1, past)
         self.until = t
+
+    def _require_way(self, t: float, fired: str) -> None:
+        """Refuse a moving lag whose place is led back to one breaking point from both sides.
+
+        Raises
+        ------
+        FlowError
+            If its windows have ended so many times with no time to speak of between them.
+        """
+        brief = t - self._turned[0] <= BRIEF_WINDOW * slack_of(t)
+        self._turned = t, self._turned[1] + 1 if brief else 0
+        if self._turned[1] > MOST_TURNS:
+            raise FlowError(
+                f"{self.scene.spec.model}, t = {t!r}: {fired.partition('.')[0]} looks at a jump of "
+                "the record, and the flows before it and behind it both lead there: what follows "
+                "is not unique; make the history join the start, or the lag independent of what "
+                "sees that jump"
+            ).by("undecided")

@@ -29,6 +29,7 @@ from .options import chosen
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
+    from ..trajectory.accumulation import Accumulation
 
 #: Relative change of the start of the third run, by which grown rounding is measured.
 NUDGE = 8e-15
@@ -49,6 +50,12 @@ class Compared(NamedTuple):
     t: float
     edges: tuple[str, ...]
     state: Record
+    since: float
+
+    @classmethod
+    def of(cls, point: Accumulation) -> Compared:
+        """What is compared of an accumulation; ``since``: the first impact of its series."""
+        return cls(point.t, point.edges, point.state, point._since)
 
 
 @attrs.frozen(eq=False)
@@ -76,7 +83,7 @@ class FinishedRun:
     def of(cls, driver: Driver) -> FinishedRun:
         """What a driver has left."""
         record, watched, plan = driver.record, driver.watchful, driver.plan
-        zeno = [Compared(point.t, point.edges, point.state) for point in record.zeno]
+        zeno = [Compared.of(point) for point in record.zeno]
         found = record.log, zeno, record.tails, record.made, driver.steps
         plan = plan if plan.progress is None else attrs.evolve(plan, progress=None)
         seen = driver.solver.exact, watched.blurred, watched.cut
@@ -87,7 +94,7 @@ class FinishedRun:
         spec, jumps, sight = self.scene.spec, len(run.own_jumps), run.hindsight
         past = sight.history if sight else [unknown(spec, run.t0)] if spec.lags else None
         plan = attrs.evolve(self.plan, t0=run.t0, max_jumps=self.plan.max_jumps + jumps)
-        zeno = [Compared(point.t, point.edges, point.state) for point in run.zeno]
+        zeno = [Compared.of(point) for point in run.zeno]
         return attrs.evolve(
             self,
             plan=plan,
@@ -232,11 +239,31 @@ def _errors(
     for limit in [made.limits[index], *extrapolated]:
         if limit is not None:
             t_error, x_error = t_error + limit.t_error, x_error + limit.x_error
+        if isinstance(limit, Tail):
+            late = _late(made.scene, limit, point.since)
+            x_there = limit.field.rhs(limit.t + limit.remaining, limit.x_inf.tolist())
+            t_error, x_error = t_error + late, x_error + late * np.abs(x_there)
     for pair in pairs:
         one, other = (run.zeno[index] for run in pair)
         t_error = t_error + 3 * abs(one.t - other.t)
         x_error = x_error + 3 * np.abs(_vector(one) - _vector(other))
     return float(t_error), record(x_error)
+
+
+def _late(scene: Scene, tail: Tail, since: float) -> float:
+    """How much the limit of a sum moves by the rounding of the gap at the impacts ``since`` the
+    first of the series.
+
+    An impact at a gap of ``d`` instead of zero is ``d / u`` early, at the speed ``u``, and faster
+    by ``d`` times the force over ``u``: the limit moves by ``(1 + r) / (1 - r)`` times ``d / u``.
+    The impacts before it are faster by ``1 / r`` each, and move it by less; in low flights the gap
+    is a coordinate of its own, and has no such rounding. No run shows that: all round a gap alike.
+    """
+    gap, r, x = tail.field.guards[tail.column], tail.r, tail.x.tolist()
+    size, pull = float(scene.rounding(gap, tail.field)(tail.t, x)[0]), abs(gap.lie(tail.t, x)[2])
+    low = (NEAR * pull * float(np.max(np.abs(tail.x[: scene.spec.flows])))) ** 0.5
+    first = 0.5 * pull * (1.0 - r) * (tail.t + tail.remaining - since)
+    return EPS * size * r * (1.0 + r) / (max(tail.v, min(low, first)) * (1.0 - r) ** 2)
 
 
 def _shows(run: FinishedRun, index: int, point: Compared) -> bool:
