@@ -10,6 +10,7 @@ from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
 from ..lowering import Contact, Field
 from ..rules.entries import LIMIT_SPEED
+from ..rules.guards import GUARD_ROUNDING
 from ..rules.sums import LEAST_LOSS
 from ..rules.zeros import EPS
 from ..segment import Segment
@@ -101,7 +102,9 @@ def _at_limit(driver: Driver, name: str, x_inf: StateVector, field: Field, drawn
     pull = -gap.lie(t, x_inf.tolist())[2]
     if drawn or not pull > 0.0:
         return float(0.5 * LAST_FLIGHT * pull * (t - driver.cycles.first_of(name)))
-    spent = LIMIT_SPEED * driver.scene.rounding(gap, field)(t, driver.seen.tolist())[1]
+    sizes = driver.scene.rounding(gap, field)
+    spent = LIMIT_SPEED * sizes(t, driver.seen.tolist())[1]
+    spent = max(spent, GUARD_ROUNDING * EPS * sizes(t, x_inf.tolist())[1])  # it is at rest (3)
     if driver.solver.whole or expand(field, t, x_inf) is not None:
         return float(spent)
     return float(max(spent, 0.5 * pull * RESOLVED_TIMES * np.spacing(abs(t))))
