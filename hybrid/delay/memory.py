@@ -522,8 +522,9 @@ class Memory:
 
         ``fired`` is the edge of the guard that detects that a varying lag leaves its window.
         """
+        ends = window_ends(self.scene.spec)
         if fired:
-            self._require_way(t, fired)
+            self._require_way(t, self.names[ends.index(fired) // 2])
         key = field.mode, field.held
         if key not in self._reach:
             self._reach[key] = reach([field])
@@ -531,11 +532,10 @@ class Memory:
         self._looks(t, x)
         self.breaks.reserve()
         past = self.past()._replace(uses=uses, asks=asks)
-        ends = window_ends(self.scene.spec)
         unit("past").ended(t, 0, ends.index(fired) if fired else -1, past)
         self.until = t
 
-    def _require_way(self, t: float, fired: str) -> None:
+    def _require_way(self, t: float, lag: str) -> None:
         """Refuse a moving lag whose place is led back to one breaking point from both sides.
 
         Raises
@@ -547,8 +547,8 @@ class Memory:
         self._turned = t, self._turned[1] + 1 if brief else 0
         if self._turned[1] > MOST_TURNS:
             raise FlowError(
-                f"{self.scene.spec.model}, t = {t!r}: {fired.partition('.')[0]} looks at a jump of "
-                "the record, and the flows before it and behind it both lead there: what follows "
-                "is not unique; make the history join the start, or the lag independent of what "
-                "sees that jump"
+                f"{self.scene.spec.model}, t = {t!r}: the lag {lag} looks at a jump of the record, "
+                "and the flows before it and behind it both lead there: what follows is not "
+                "unique; make the history join the start, or the lag independent of what sees "
+                "that jump"
             ).by("undecided")

@@ -241,8 +241,8 @@ def _errors(
             t_error, x_error = t_error + limit.t_error, x_error + limit.x_error
         if isinstance(limit, Tail):
             late = _late(made.scene, limit, point.since)
-            x_there = limit.field.rhs(limit.t + limit.remaining, limit.x_inf.tolist())
-            t_error, x_error = t_error + late, x_error + late * np.abs(x_there)
+            rates = limit.field.rhs(limit.t + limit.remaining, limit.x_inf.tolist())
+            t_error, x_error = t_error + late, x_error + late * np.abs(rates)
     for pair in pairs:
         one, other = (run.zeno[index] for run in pair)
         t_error = t_error + 3 * abs(one.t - other.t)

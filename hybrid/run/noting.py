@@ -71,6 +71,7 @@ def flown(driver: Driver, flights: Flights) -> bool:
     lengths = flights.lengths.tolist()
     last = next((k for k in range(len(lengths) - 1, 0, -1) if lengths[k]), 0)
     driver.passed(lengths[last])
+    driver.touched = {}
     driver.spent = driver.spent.union(jumps.edge[last:])
     driver.seen = np.maximum(driver.seen, np.maximum.reduce(np.abs(jumps.after)))
     memory = driver.record.memory
