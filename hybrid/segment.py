@@ -108,6 +108,11 @@ def of_powers(start: float, length: float, powers: Matrix) -> Segment:
     return Segment(start, length, from_powers(powers.shape[1] - 1) @ powers.T)
 
 
+def straight(start: float, length: float, first: Numbers, last: Numbers) -> Segment:
+    """The segment that leads along a straight line from one state to another."""
+    return Segment(start, length, np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([first, last]))
+
+
 def _basis(xi: Any, degree: int) -> np.ndarray:
     """Chebyshev polynomials at a number, or at an array of them on a new last axis."""
     terms = [xi**0, xi]

@@ -77,7 +77,7 @@ from ..rules.places import (
 )
 from ..rules.record import SHOWN_ROUNDING, WINDOW_SHARE
 from ..rules.windows import FIXED, MOVES_ON
-from ..segment import Segment, from_powers, from_values, nodes
+from ..segment import Segment, from_powers, from_values, nodes, straight
 from ..trajectory.arcs import Arc, TailPart
 from ..trajectory.clock import Instant
 from ..trajectory.log import Flights
@@ -295,9 +295,8 @@ class Memory:
             row = part.jump(n + 1)
             self.breaks.add(row.t, np.where(row.before == row.after, 1, 0))
         since = self.pieces.last.end
-        ends = np.array([arc.first, tail.x_inf])
-        straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ ends
-        self.pieces.add(piece_of(Segment(0.0, part.t1 - since, straight), since, 0.0))
+        last_piece = straight(0.0, part.t1 - since, arc.first, tail.x_inf)
+        self.pieces.add(piece_of(last_piece, since, 0.0))
         self.breaks.add(part.t1, np.ones(len(tail.x_inf), dtype=int))
 
     def _low(self, arc: Arc, x: StateVector) -> bool:

@@ -8,11 +8,12 @@ the equations themselves. Up to three equations are solved by determinants; more
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from .derivatives import parts, solved
 from .graph import WRITTEN_TERMS, Graph, Ids
@@ -85,15 +86,9 @@ def _solved(graph: Graph, matrix: Ids, right: Ids) -> Ids:
     return found
 
 
-def _groups(linked: MaskMatrix) -> Iterable[list[int]]:
-    left = set(range(len(linked)))
-    while left:
-        group, new = set[int](), {min(left)}
-        while new:
-            group |= new
-            new = {int(j) for i in new for j in np.flatnonzero(linked[i] | linked[:, i])} - group
-        left -= group
-        yield sorted(group)
+def _groups(linked: MaskMatrix) -> list[list[int]]:
+    count, numbers = connected_components(linked, directed=False)
+    return [np.flatnonzero(numbers == number).tolist() for number in range(count)]
 
 
 def _together(graph: Graph, matrix: list[list[int]], right: list[int]) -> list[int]:

@@ -13,7 +13,7 @@ from ..rules.entries import LIMIT_SPEED
 from ..rules.guards import GUARD_ROUNDING
 from ..rules.sums import LEAST_LOSS
 from ..rules.zeros import EPS
-from ..segment import Segment
+from ..segment import straight
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import TailPart
 from ..trajectory.plan import PATIENCE
@@ -155,8 +155,7 @@ def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> 
     The arc from there to the limit is recorded as a straight line.
     """
     record, held = driver.record, driver.still_held(mode, x)
-    straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, found.x_inf])
-    segments = [Segment(0.0, found.remaining, straight)] if found.remaining else []
+    segments = [straight(0.0, found.remaining, x, found.x_inf)] if found.remaining else []
     field = driver.scene.field(driver.scene.name(mode, held))
     sides = _sides(driver, field, x)
     record.arc(field, x, found.x_inf, found.remaining, segments)

@@ -29,7 +29,7 @@ from ..rules.guards import (
     shallow,
 )
 from ..rules.zeros import EPS
-from ..segment import Segment
+from ..segment import Segment, straight
 from ..solvers import Solver, Stepper
 from ..solvers.base import NO_FLOW_HERE
 from ..trajectory.clock import Instant
@@ -667,8 +667,7 @@ class ArcFlow:
         stepper.tau, stepper.x = start + shift, x + shift * flow
         if start > 0.0 or shift == 0.0:
             return []
-        straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, stepper.x])
-        return [Segment(start, shift, straight)]
+        return [straight(start, shift, x, stepper.x)]
 
     def _before(self, cut: Cut | None, tau: float, x: StateVector) -> bool:
         """Whether a deciding function does not yet have the sign that it takes behind a cut.

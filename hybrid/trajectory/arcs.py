@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import OptionError
 from ..lowering.scene import parted
-from ..segment import Segment
+from ..segment import Segment, straight
 from ..zeno.accumulate import Tail
 from .clock import Instant
 
@@ -188,8 +188,7 @@ class TailPart(_Moded):
         since, x = float(tail.times[n]), tail.point(tail.r**n)[1] if n else tail.x
         if flight is None:
             length = float(tail.remaining - since)
-            straight = np.array([x, tail.x_inf])
-            segments = [Segment(0.0, length, np.array([[0.5, 0.5], [-0.5, 0.5]]) @ straight)]
+            segments = [straight(0.0, length, x, tail.x_inf)]
             end = tail.x_inf
         else:
             length, end = flight.time, np.array(flight.x)

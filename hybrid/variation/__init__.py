@@ -1,6 +1,6 @@
 """The first variation of a run: its dependence on start, parameters and times."""
 
-from .carried import At, Carried
+from .carried import Carried
 from .derivatives import Derivatives
 from .growth import GROWN_APART, TRANSIENT, first_frame, grown, largest
 from .past import PastVariation, Shift, Strand, descendants, distinct
@@ -10,7 +10,6 @@ from .walk import Course, Factor, Moment, Walk, factors, factors_of
 __all__ = [
     "GROWN_APART",
     "TRANSIENT",
-    "At",
     "Carried",
     "Course",
     "Derivatives",

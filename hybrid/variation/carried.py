@@ -21,10 +21,10 @@ from ..trajectory.arcs import Arc, JumpRow
 from .derivatives import Derivatives
 from .limit import through
 from .past import PastVariation, Shift, Strand
-from .walk import Chatter, Course, DelayedArc, Factor, Walk
+from .walk import Chatter, Course, DelayedArc, Factor, Moment, Walk
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Mask, Matrix, Numbers
+    from ..automaton.shapes import Mask, Matrix
 
 #: Flights of a series of impacts shorter than this, relative to the first, are recorded as one; the
 #: second value applies if delays see jumps at the impacts.
@@ -32,19 +32,6 @@ SHORT_FLIGHT, SHORT_SEEN_FLIGHT = 1e-6, 1e-9
 
 #: Least length of a window, in spacings of the time.
 WINDOW_SPACINGS = 64.0
-
-
-@attrs.frozen(eq=False)
-class At:
-    """The variation of a jump or a limit, as linear functions of the ``m`` numbers of a
-    :class:`Carried`: time, states before and after, and, for a limit, the ratio of its series.
-    ``part`` is the index of the part of the run that it ends."""
-
-    part: int
-    time: Numbers
-    before: Matrix
-    after: Matrix
-    ratio: Numbers | None
 
 
 class Carried:
@@ -60,7 +47,7 @@ class Carried:
     none : array of bool, shape (n, m)
         Entries of ``state`` that have no derivative. A reset or a rest that does not depend on
         them ends this.
-    last : At or None
+    last : Moment or None
         The last moment passed.
     limits : int
         Number of accumulations passed so far.
@@ -73,7 +60,7 @@ class Carried:
         self.touched, self.limits = list(touched), 0
         self.none = np.zeros(state.shape, dtype=bool)
         self.past: PastVariation | None = None
-        self.last: At | None = None
+        self.last: Moment | None = None
         self.saltations = list[Factor]()
 
     def remember(self, past: PastVariation) -> None:
@@ -81,7 +68,7 @@ class Carried:
         self.past = past
         self.walk.arrival = past.arrives
 
-    def moments(self) -> Iterator[At]:
+    def moments(self) -> Iterator[Moment]:
         """Carry the perturbation along the run; yields each jump and limit on the way."""
         for piece in self.walk.pieces():
             yield from self.through(piece)
@@ -97,7 +84,7 @@ class Carried:
                 none[:, -1] = True
         return self.state * np.where(none, np.nan, 1.0)
 
-    def through(self, piece: Factor | DelayedArc | Chatter) -> Iterator[At]:
+    def through(self, piece: Factor | DelayedArc | Chatter) -> Iterator[Moment]:
         """Carry the perturbation through a piece; yields the jumps or the limit at its end."""
         if isinstance(piece, DelayedArc):
             assert self.past is not None
@@ -139,7 +126,7 @@ class Carried:
         assert isinstance(part, Arc)
         return past.arrival(index, part, piece, self.state)[None]
 
-    def _applied(self, factor: Factor, change: Matrix) -> Iterator[At]:
+    def _applied(self, factor: Factor, change: Matrix) -> Iterator[Moment]:
         broken = self._broken_ties(factor, change)
         self.state = factor.matrix @ change
         for number, moment in enumerate(factor.moments):
@@ -147,7 +134,7 @@ class Carried:
             apply = partial(self._variation, none=none, change=change)
             ratio = None if moment.ratio is None else apply(moment.ratio)
             sides = apply(moment.before), apply(moment.after)
-            self.last = At(moment.part, apply(moment.time), *sides, ratio)
+            self.last = Moment(moment.part, apply(moment.time), *sides, ratio)
             self.limits += moment.ratio is not None
             yield self.last
         self.none = self._undefined(factor.matrix, self.none) | broken
@@ -189,7 +176,7 @@ class Carried:
 
     # -- accumulations in a model with delays -----------------------------------------------
 
-    def _to_limit(self, chatter: Chatter) -> Iterator[At]:
+    def _to_limit(self, chatter: Chatter) -> Iterator[Moment]:
         """Carry the perturbation through an accumulation, with that of the delayed terms."""
         past, part, tail = self.past, chatter.part, chatter.part.tail
         assert past is not None
