@@ -1,6 +1,7 @@
 """Signals: data at knots, read at the present time, against closed forms with every solver."""
 
 import pickle
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -557,3 +558,60 @@ def test_models_with_signals_are_values():
 def road_of(model):
     """The same class with equal data."""
     return type(model)(floor=(TIMES.copy(), VALUES.copy()))
+
+
+@cache
+def timed(crossing):
+    """A class of timers that read a held signal whenever they are due."""
+
+    class Timed(hy.Automaton):
+        since = hy.state()
+        seen = hy.state()
+        force = hy.signal(kind="previous", outside="hold")
+
+        @hy.mode(initial=True)
+        def flow(self, t, s):
+            return 1.0, 0.0
+
+        @hy.edge(flow, guard=lambda self, t, s: s.since - 0.1, crossing=crossing)
+        def ring(self, t, s):
+            return 0.0 * s.since, self.force(t)
+
+    return Timed
+
+
+@pytest.mark.parametrize("looped", [True, *later(False)])
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("crossing", [hy.RISING, hy.EITHER])
+def test_a_guard_that_is_zero_at_each_knot_fires_once_there(monkeypatch, crossing, solver, looped):
+    """Knots are decimal numbers, the timer adds up its period: it fires before the knot, with the
+    value that the signal had, however rounding orders the two; and once."""
+    if not looped:
+        without_loop(monkeypatch)
+    times = [float(f"{k / 10:.1f}") for k in range(42)]
+    model = timed(crossing)(force=(times, np.arange(42.0)))
+    run = hy.simulate(model, [0.0, 0.0], (0.0, 4.05), solver=solver)
+    assert run.jumps.t == pytest.approx(0.1 * np.arange(1, 41), rel=1e-13)
+    assert run.jumps.after.seen.tolist() == np.arange(0.0, 40.0).tolist()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_no_crossing_at_a_knot_is_lost(solver):
+    """A wave that is zero at each knot, and each crossing of which is an event."""
+
+    class Wave(hy.Automaton):
+        count = hy.state()
+        force = hy.signal(kind="linear", outside="hold")
+
+        @hy.mode(initial=True)
+        def flow(self, t, s):
+            return 0.0 * s.count
+
+        @hy.edge(flow, guard=lambda self, t, s: jnp.sin(10 * jnp.pi * t), crossing=hy.EITHER)
+        def passes(self, t, s):
+            return s.count + 1.0
+
+    times = [float(f"{k / 10:.1f}") for k in range(32)]
+    model = Wave(force=(times, np.arange(32.0)))
+    run = hy.simulate(model, [0.0], (0.05, 3.05), solver=solver)
+    assert run.jumps.t == pytest.approx(0.1 * np.arange(1, 31), rel=1e-13)

@@ -373,8 +373,8 @@ class Driver:
         by = at_clock and clock is None and fired is None and due < self.plan.t1
         if by or (clock is None and self._passes(fired, flown)):
             end = self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
+            self.passed(flown.length)
             if by:
-                self.passed(flown.length)
                 clocks.go_by(self, due, entry.field.at_end(due, flown.x))
             else:
                 self.pass_window(fired, end if entry.field.leans else flown.x)

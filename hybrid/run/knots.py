@@ -14,7 +14,7 @@ from ..errors import DomainError
 from ..lowering import Field, Guard, Scene
 from ..lowering.mode import RELEASE_SUFFIX
 from ..rules.arrays import InputArrays
-from ..rules.guards import GUARD_ROUNDING
+from ..rules.guards import GUARD_ROUNDING, NEAR
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
 from .entry import Entry, Jumped, departed, is_zero, opened, signs_at_end
@@ -108,12 +108,14 @@ def _fires(driver: Driver, spent: frozenset[str], t: float, x: StateVector) -> b
 def _sides(
     entry: Entry, spent: frozenset[str], t: float, x: StateVector, reach: float
 ) -> dict[str, int]:
-    """By edge the sign of its guard before a knot; of one that is zero, or whose edge has just been
-    taken, that to which it goes."""
+    """By edge the sign of its guard before a knot; of one that is zero, as its edge may have just
+    been taken, that to which it goes."""
     signs = signs_at_end(entry, t, x, reach)
     for guard in entry.field.guards:
-        if guard.edge in spent or not signs[guard.edge]:
-            signs[guard.edge] = int(np.sign(guard.lie(t, x.tolist())[1])) or signs[guard.edge]
+        value, rate, _ = guard.lie(t, x.tolist())
+        taken = guard.edge in spent and abs(value) <= NEAR * reach
+        if taken or not signs[guard.edge]:
+            signs[guard.edge] = int(np.sign(rate)) or signs[guard.edge]
     return signs
 
 
