@@ -262,8 +262,8 @@ def zero_within(
     scene: Scene, guard: Guard, field: Field, t: float, x: StateVector, seen: StateVector
 ) -> float:
     """How far from zero the guard of an edge may be to be taken for zero where a mode is entered
-    (:func:`hybrid.rules.entries.start`)."""
-    here, rate, _ = scene.rounding(guard, field)(t, x.tolist())
+    (:func:`hybrid.rules.ties.hidden_at`)."""
+    here, rate = scene.rounding(guard, field)(t, x.tolist())[0], guard.lie(t, x.tolist())[1]
     far = extent(scene, guard, field, t, x, seen)[0]
     return GUARD_ROUNDING * EPS * (here + far) + TIE * EPS * abs(t) * abs(rate)
 

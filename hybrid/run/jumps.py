@@ -233,11 +233,10 @@ def _near_zero(driver: Driver, x: StateVector) -> dict[str, int]:
     """By edge, the sign of its guard at the end of a low flight, if it is zero but for rounding: a
     flight in which none comes nearer to zero."""
     found, scene, field, t = dict[str, int](), driver.scene, driver.entry.field, driver.t
-    for guard in field.guards:
+    near = NEAR * driver.reach(x)
+    for guard in (guard for guard in field.guards if guard.kind in ("edge", "switch")):
         value = guard.value(t, x.tolist())
-        if guard.kind in ("edge", "switch") and abs(value) <= zero_within(
-            scene, guard, field, t, x, driver.seen
-        ):
+        if abs(value) <= near and abs(value) <= zero_within(scene, guard, field, t, x, driver.seen):
             found[guard.edge] = int(np.sign(value))
     return found
 
