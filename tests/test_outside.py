@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import RK45, DenseOutput, OdeSolver
+from scipy.integrate import RK45, DenseOutput, OdeSolver, Radau
 
 import hybrid as hy
 from hybrid.gallery import find
 from hybrid.lowering import scene_of
 from hybrid.solvers.scipy_backend import RungeKuttaStepper, SampledStepper, SciPySolver
+from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 from tests.contract.test_units import Pile
 from tests.contract.ways import later, spread
@@ -110,6 +111,26 @@ def test_the_keyboard_stops_between_steps(stepper, name, method, count, monkeypa
     whole = hy.simulate(model, start, (0.0, run.t1 + 1e-9), method=method)
     assert len(whole.jumps) == len(run.jumps)
     np.testing.assert_allclose(list(run.final), list(whole(run.t1, side="left")), atol=1e-12)
+
+
+@pytest.mark.parametrize("loop", [True, False])
+@pytest.mark.parametrize("count", range(1, 9))
+def test_the_keyboard_stops_within_a_step(count, loop, monkeypatch):
+    """In a step of SciPy's, the first of an arc too: the run ends where the last one ended."""
+    own, made = Radau._step_impl, []
+
+    def stop(solver):
+        made.append(solver.t)
+        if len(made) == count:
+            raise KeyboardInterrupt
+        return own(solver)
+
+    monkeypatch.setattr(Radau, "_step_impl", stop)
+    monkeypatch.setattr(SciPySolver, "asked", loop)
+    run = hy.simulate(BouncingBall(), {"x": 1.0, "v": 0.0}, (0.0, 3.0), method="Radau")
+    assert run.status is hy.Status.INTERRUPTED
+    since = run.jumps.t[-1] if len(run.jumps) else 0.0
+    assert run.t1 == pytest.approx(since + made[-1], abs=1e-12)
 
 
 class Line(DenseOutput):

@@ -410,11 +410,12 @@ class Machine:
         elif self.ints[PHASE] == STRIKES:
             self._last(left)
             return
-        elif self.floats[STEP_END] != self.floats[TAU]:
+        if not self.ints[MADE]:
+            return
+        if self.outside is not None and self.floats[STEP_END] != self.floats[TAU]:
             self.outside.undo(now)
-        if self.ints[MADE]:
-            self.ints[STEPS_MADE] += self.ints[MADE]
-            self._last(left)
+        self.ints[STEPS_MADE] += self.ints[MADE]
+        self._last(left)
 
     def _series(self) -> tuple[str | None, int, float]:
         """The current series of impacts: the contact, their number, and the speed at which a sum
