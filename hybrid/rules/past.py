@@ -29,6 +29,8 @@ from .places import (
     BEHIND,
     BREAK_ORDER,
     BREAKS,
+    CONTACT,
+    CROSSING,
     EDGE,
     END,
     EXPANSIONS,
@@ -71,6 +73,7 @@ from .places import (
     STEPS_BEFORE,
     STEPS_DONE,
     STEPS_MADE,
+    SWITCH,
     TAU,
     TIGHT,
     WALKS,
@@ -80,10 +83,11 @@ from .places import (
 )
 from .record import broken, following, slack
 from .runs import go
+from .ties import rounding_there, since
 from .windows import AT_THE_END, BACKWARDS, FIXED, MOVES_ON, confirmed, nearer_guess, read, stays
 from .zeros import EPS
 
-__all__ = ("bound", "ended", "look_back")
+__all__ = ("bound", "ended", "fires_there", "look_back")
 
 #: The order of a smooth element; and the highest order of breaking points that are noted once the
 #: place of a lag has moved backwards: each of them is then seen many times, and so are those that
@@ -158,7 +162,7 @@ def due(
     if now.ints[JUMPS_MADE] >= run[JUMPS_DUE]:
         return behind(a, now, room, left, past)
     last = status == END and past.floats[SERVES_UNTIL] >= past.floats[FINAL]
-    if last or not ends(a, now, status):
+    if last or not ends(a, now, status) or (status == END and fires_there(a, now, room)):
         return HOLDS
     t, fired = time(now), -1
     if status == JUMP:
@@ -172,6 +176,28 @@ def due(
         return RECORD_NOT_FINITE
     ended(t, now.ints[FIELD], fired, past)
     return read(t, False, past)
+
+
+def fires_there(a: AutomatonArrays, now: Now, room: Room) -> bool:
+    """Whether a declared guard that is about to fire is zero where windows end: it fires before
+    they are passed, and sees what was before (9). What is zero where an arc begins has been
+    examined."""
+    field, t = now.ints[FIELD], time(now)
+    if not now.floats[TAU] > 0.0:
+        return False
+    program, first = a.fields[field, FIELD_PROGRAM], a.fields[field, GUARDS]
+    for g in range(first, a.fields[field, GUARDS_END]):
+        if a.guards[g, KIND] not in (EDGE, CONTACT, SWITCH):
+            continue
+        if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
+            return False
+        row, before = row_of(a, program, field, g), now.signs[g - first]
+        value, rate = room.aside[row, 0], room.aside[row, 1]
+        noise = rounding_there(a, now, room, g, t, rate) + 2.0 * now.zeros[g - first, OFF]
+        comes = rate * before < 0.0 and rate * a.guards[g, CROSSING] >= 0.0
+        if comes and since(value, rate, before, t, noise) >= 0.0:
+            return True
+    return False
 
 
 def placed(
@@ -269,13 +295,13 @@ def back(now: Now, past: PastArrays) -> None:
 
 
 def goes_on(now: Now, past: PastArrays) -> None:
-    """Continue the arc where windows end."""
+    """Continue the arc where windows end. Of an arc that begins there no signs are known yet."""
     now.ints[PHASE] = WALKS
     now.ints[STEPS_MADE] -= now.ints[MADE]
     past.ints[IN_ARC], past.floats[BEGAN] = now.ints[JUMPS_MADE], now.floats[TAU]
     copied(now.end, past.start)
     for g in range(now.signs.shape[0]):
-        past.signs[0, g] = now.signs[g]
+        past.signs[0, g] = now.signs[g] if now.ints[MADE] > 0 else 0
 
 
 def ended(t: float, field: int, fired: int, past: PastArrays) -> None:

@@ -30,7 +30,7 @@ from . import clocks, jumps, switch
 from .arc import ArcFlow, Flown
 from .cycles import Cycles
 from .entry import STARTS_OFF, Entry, Jumped, describe, enter, extent, signs_at_end
-from .knots import let_go, pass_knot
+from .knots import fires_at, let_go, pass_knot
 from .losses import Losses
 from .machine import Machine
 from .pace import Pace
@@ -440,6 +440,8 @@ class Driver:
             self.plan.progress(t)
         if memory is None:
             pass_knot(self, self.scene.until, x)
+            return
+        if fired is None and fires_at(self, self.spent.union(self.vanishing), t, x):
             return
         signs = signs_at_end(self.entry, t, x, self.reach(x))
         memory.passed(t, x, field, fired.edge if fired else None)

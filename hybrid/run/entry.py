@@ -134,8 +134,10 @@ class Jumped:
     def before(self, edge: str, order: int) -> int:
         """The sign of a guard before this time, at which it was zero and by a power of the time
         still is; 0 if unknown."""
-        tied = {**self.touched, **self.tied} if order else self.tied
-        return int((tied if self.passing is None else self.passing).get(edge, 0))
+        signs = {**self.touched, **self.tied} if order else self.tied
+        if self.passing is not None and edge not in self.vanishing:
+            signs = self.passing
+        return int(signs.get(edge, 0))
 
 
 def enter(

@@ -48,7 +48,7 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
     spent = driver.spent.union(known)
     signs = _sides(entry, spent, t, x, driver.reach(x))
     driver.record.now = Instant(t)
-    if driver.scene.until == t and _fires(driver, spent, t, x):
+    if driver.scene.until == t and fires_at(driver, spent, t, x):
         return
     driver.scene = there
     off = {guard.edge: guard for guard in _off(driver, there, t, x)}
@@ -89,9 +89,10 @@ def _leave(driver: Driver, edge: str, x: StateVector) -> None:
     add_jump(driver, edge, x, x)
 
 
-def _fires(driver: Driver, spent: frozenset[str], t: float, x: StateVector) -> bool:
-    """Carry out the jump of a guard that is zero before a knot, but for rounding, if there is one:
-    of several that of the edge declared first (4). ``spent``: edges just taken."""
+def fires_at(driver: Driver, spent: frozenset[str], t: float, x: StateVector) -> bool:
+    """Carry out the jump of a guard that is zero before a knot, or where windows of the past end,
+    but for rounding, if there is one: of several that of the edge declared first (4). ``spent``:
+    edges just taken."""
     entry, now = driver.entry, driver.record.now
     if entry.field.guards and driver.losses.tolerances:
         near = driver.losses.near(driver.scene, entry.field, t, x, t - driver.since)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import attrs
 import numpy as np
 
 from ..rules import unit
@@ -60,6 +61,29 @@ def looked_back(machine: Machine, left: Left) -> int:
     if memory.shown.tobytes() != shown:
         machine.driver.scene, memory.bound = memory.read(), True
     return status
+
+
+def at_window(machine: Machine, left: Left, status: int) -> bool:
+    """Whether the loop has stopped where windows of the past end and a guard is zero; if so, the
+    arc is recorded up to there, and the guard fires before they are passed (9)."""
+    driver, memory = machine.driver, machine.driver.record.memory
+    if status != END or memory is None or memory.until >= machine.plan.t1:
+        return False
+    assert machine.past is not None
+    automaton, _ = machine.past.linked()
+    if not unit("past").fires_there(automaton, machine.now, machine.rooms.work[0]):
+        return False
+    place, tau = int(machine.ints[JUMPS_MADE]), float(machine.floats[TAU])
+    steps, made = machine.flown_in(left, place, place + 1)
+    segments = steps.segments(np.array([tau])) if steps and machine.dense else []
+    driver.steps += made
+    driver.passed(tau)
+    entry, end = driver.entry, machine.now.end.copy()
+    x = driver.record.extend(entry.field, entry.x, end, tau, segments)
+    memory.told = False
+    driver.entry = attrs.evolve(driver.entry, field=driver.field, x=x)
+    driver.pass_window(None, x)
+    return True
 
 
 def passes(machine: Machine, left: Left, status: int) -> int:

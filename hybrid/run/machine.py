@@ -93,7 +93,7 @@ from .jumps import bounce
 from .kept import KeptSteps
 from .knots import Feed, pass_knot
 from .limits import pass_limit
-from .lookback import looked_back, passes
+from .lookback import at_window, looked_back, passes
 from .outside import Outside
 from .proved import proves, tail_of
 from .rooms import Rooms, left_for
@@ -194,6 +194,8 @@ class Machine:
             if self.feed is not None and not ended and self._knot(left, status):
                 return
             if self.past is not None and not ended:
+                if at_window(self, left, status):
+                    return
                 status = passes(self, left, status)
             if status == GOES_ON:
                 if self.takes():
