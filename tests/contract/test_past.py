@@ -90,6 +90,65 @@ def test_a_guard_that_comes_to_zero_there_sees_left_values(way):
     assert result.final.z == pytest.approx(1.0, abs=1e-12)
 
 
+class Timer(hy.Automaton):
+    """A timer that is a state; each time it counts, and adds the count that was a lag before."""
+
+    count = hy.state()
+    seen = hy.state()
+    timer = hy.state()
+
+    period: float = hy.parameter(0.1)
+    lag: float = hy.parameter(0.3)
+    rate: float = hy.parameter(1.0)
+
+    @hy.mode
+    def runs(self, t, s):
+        return 0.0, 0.0, self.rate
+
+    @hy.edge(runs, guard=lambda self, t, s: self.rate * self.period - s.timer)
+    def ring(self, t, s, past):
+        return s.count + 1.0, s.seen + past(self.lag).count, 0.0
+
+
+class Wave(Timer):
+    """The same where a wave passes zero, which no reset changes: it must not fire there twice."""
+
+    @hy.mode
+    def runs(self, t, s):
+        return 0.0, 0.0, 0.0
+
+    @hy.edge(
+        runs,
+        guard=lambda self, t, s: self.rate * jnp.sin(jnp.pi * t / self.period),
+        crossing=hy.EITHER,
+    )
+    def ring(self, t, s, past):
+        return s.replace(count=s.count + 1.0, seen=s.seen + past(self.lag).count)
+
+
+@pytest.mark.parametrize(
+    ("cls", "start", "period", "lags", "rate"),
+    [
+        (Timer, 0.0, 0.1, 3, 1.0),
+        (Wave, 0.35, 0.7, 3, 1.0),
+        *later(
+            (Timer, 0.0, 0.7, 4, 7.0),
+            (Timer, 10.0, 1 / 3, 5, 7.0),
+            (Wave, 0.05, 0.1, 1, 1.0),
+            (Wave, 0.15, 0.3, 4, 7.0),
+            (Wave, 0.05, 0.1, 5, 0.37),
+        ),
+    ],
+)
+def test_what_fires_a_lag_behind_its_own_jump_sees_left_values(way, cls, start, period, lags, rate):
+    """The lag is so many periods, in exact arithmetic; how times round does not matter."""
+    model = cls(period=period, lag=lags * period, rate=rate)
+    begin = {"count": 0.0, "seen": 0.0, "timer": 0.0}
+    result = way.run(model, begin, (start, start + 24.2 * period), rtol=1e-9, atol=1e-12)
+    assert (result.status, result.jumps, result.final.count) == ("reached_end", 24, 24.0)
+    assert result.final.seen == pytest.approx(sum(range(24 - lags)), abs=1e-9)
+
+
 def test_a_guard_carried_over_zero_fires_there_and_sees_right_values(way):
     """By a jump of what it sees."""
     result = way.run(Seen(), {"y": 1.0, "z": 0.0}, (0.0, 3.0))
