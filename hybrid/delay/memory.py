@@ -209,6 +209,11 @@ class Memory:
     def until(self, t: float) -> None:
         self.floats[SERVES_UNTIL] = t
 
+    @property
+    def since(self) -> float:
+        """Time from which on the present windows are."""
+        return float(self.floats[GUESSED_FROM])
+
     def due(self, t: float) -> bool:
         """Whether new windows are needed at time ``t``."""
         return not self.told and self.until <= t

@@ -83,7 +83,7 @@ from .places import (
 )
 from .record import broken, following, slack
 from .runs import go
-from .ties import rounding_there, since
+from .ties import FURTHEST_APART, rounding_there, since
 from .windows import AT_THE_END, BACKWARDS, FIXED, MOVES_ON, confirmed, nearer_guess, read, stays
 from .zeros import EPS
 
@@ -162,7 +162,7 @@ def due(
     if now.ints[JUMPS_MADE] >= run[JUMPS_DUE]:
         return behind(a, now, room, left, past)
     last = status == END and past.floats[SERVES_UNTIL] >= past.floats[FINAL]
-    if last or not ends(a, now, status) or (status == END and fires_there(a, now, room)):
+    if last or not ends(a, now, status) or (status == END and fires_there(a, now, room, past)):
         return HOLDS
     t, fired = time(now), -1
     if status == JUMP:
@@ -178,11 +178,12 @@ def due(
     return read(t, False, past)
 
 
-def fires_there(a: AutomatonArrays, now: Now, room: Room) -> bool:
+def fires_there(a: AutomatonArrays, now: Now, room: Room, past: PastArrays) -> bool:
     """Whether a declared guard that is about to fire is zero where windows end: it fires before
     they are passed, and sees what was before (9). What is zero where an arc begins has been
-    examined."""
+    examined; and short windows end next to every event, which they leave alone."""
     field, t = now.ints[FIELD], time(now)
+    furthest = FURTHEST_APART * (t - past.floats[GUESSED_FROM])
     if not now.floats[TAU] > 0.0:
         return False
     program, first = a.fields[field, FIELD_PROGRAM], a.fields[field, GUARDS]
@@ -194,6 +195,7 @@ def fires_there(a: AutomatonArrays, now: Now, room: Room) -> bool:
         row, before = row_of(a, program, field, g), now.signs[g - first]
         value, rate = room.aside[row, 0], room.aside[row, 1]
         noise = rounding_there(a, now, room, g, t, rate) + 2.0 * now.zeros[g - first, OFF]
+        noise = min(noise, furthest * abs(rate))
         comes = rate * before < 0.0 and rate * a.guards[g, CROSSING] >= 0.0
         if comes and since(value, rate, before, t, noise) >= 0.0:
             return True

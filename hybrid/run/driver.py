@@ -18,7 +18,9 @@ from ..errors import FlowError, JumpLoopError, StartError
 from ..lowering import Field, Guard, Scene, released
 from ..lowering.scene import parted
 from ..rules.contacts import CLOSED, STRAYS
+from ..rules.guards import TIE
 from ..rules.places import PULLED, RISES
+from ..rules.ties import FURTHEST_APART
 from ..solvers import Solver
 from ..solvers.watchful import Watchful
 from ..trajectory.arcs import TailPart
@@ -441,7 +443,8 @@ class Driver:
         if memory is None:
             pass_knot(self, self.scene.until, x)
             return
-        if fired is None and fires_at(self, self.spent.union(self.vanishing), t, x):
+        most = max(TIE * np.spacing(abs(t)), FURTHEST_APART * (t - memory.since))
+        if fired is None and fires_at(self, self.spent.union(self.vanishing), t, x, most):
             return
         signs = signs_at_end(self.entry, t, x, self.reach(x))
         memory.passed(t, x, field, fired.edge if fired else None)

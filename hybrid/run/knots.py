@@ -89,16 +89,25 @@ def _leave(driver: Driver, edge: str, x: StateVector) -> None:
     add_jump(driver, edge, x, x)
 
 
-def fires_at(driver: Driver, spent: frozenset[str], t: float, x: StateVector) -> bool:
+def fires_at(
+    driver: Driver, spent: frozenset[str], t: float, x: StateVector, most: float = np.inf
+) -> bool:
     """Carry out the jump of a guard that is zero before a knot, or where windows of the past end,
-    but for rounding, if there is one: of several that of the edge declared first (4). ``spent``:
-    edges just taken."""
+    but for rounding, if there is one: of several that of the edge declared first (4).
+
+    ``spent``: edges just taken; ``most``: how far from there in time a guard may be zero.
+    """
     entry, now = driver.entry, driver.record.now
-    if entry.field.guards and driver.losses.tolerances:
+    own = {}
+    for index, guard in enumerate(entry.field.guards):
+        value, rate, _ = guard.lie(t, x.tolist())
+        if guard.kind in DECLARED and guard.edge not in spent and abs(value) <= abs(rate) * most:
+            own[index] = guard
+    if own and driver.losses.tolerances:
         near = driver.losses.near(driver.scene, entry.field, t, x, t - driver.since)
+        near = {index: way for index, way in near.items() if index in own}
         x = driver.losses.beyond(entry.field, near, t, x, 0.0)[1]
-    own = (g for g in entry.field.guards if g.kind in DECLARED and g.edge not in spent)
-    zero = [guard for guard in own if is_zero(driver, guard, now, x, t)]
+    zero = [guard for guard in own.values() if is_zero(driver, guard, now, x, t)]
     if zero:
         driver.record.arc(entry.field, x, x, 0.0, [])
         driver.tied = {guard.edge: -1 if guard.lie(t, x.tolist())[1] > 0 else 1 for guard in zero}

@@ -70,8 +70,8 @@ def at_window(machine: Machine, left: Left, status: int) -> bool:
     if status != END or memory is None or memory.until >= machine.plan.t1:
         return False
     assert machine.past is not None
-    automaton, _ = machine.past.linked()
-    if not unit("past").fires_there(automaton, machine.now, machine.rooms.work[0]):
+    (automaton, links), room = machine.past.linked(), machine.rooms.work[0]
+    if not unit("past").fires_there(automaton, machine.now, room, memory.past(links)):
         return False
     place, tau = int(machine.ints[JUMPS_MADE]), float(machine.floats[TAU])
     steps, made = machine.flown_in(left, place, place + 1)
