@@ -1,5 +1,6 @@
 """Signals: data at knots, read at the present time, against closed forms with every solver."""
 
+import math
 import pickle
 from functools import cache
 
@@ -467,6 +468,29 @@ def test_a_function_of_a_model_with_signals_is_its_run(solver):
                 np.testing.assert_allclose(
                     slopes[known, i], far[known], atol=1e-5 + 10 * CLOSE[solver]
                 )
+
+
+class TwoInputs(hy.Automaton):
+    """A rate and a load, both data."""
+
+    x = hy.state()
+    rate = hy.signal()
+    load = hy.signal(kind="previous")
+
+    @hy.mode
+    def flow(self, t, s):
+        return self.rate(t) * s.x + self.load(t)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_a_function_of_a_model_with_two_signals_has_derivatives(solver):
+    """By the start: what the rate has made of it, whatever the load."""
+    times = [0.0, 1.0, 2.0]
+    model = TwoInputs(rate=(times, [0.1, 0.3, 0.2]), load=(times, [1.0, 0.5, 0.2]))
+    with jax.enable_x64(True):
+        f = hy.as_function(model, t=(0.0, 1.5), max_jumps=1, solver=solver)
+        slope = jax.grad(lambda x: f(model, {"x": x}).final.x)(1.0)
+    assert slope == pytest.approx(math.exp(0.2 + 0.5 * (0.3 + 0.25) / 2), rel=10 * CLOSE[solver])
 
 
 def test_a_function_has_the_data_that_it_was_made_with():

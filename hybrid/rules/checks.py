@@ -53,7 +53,7 @@ def follows(
     held: bool,
     t: float,
     h: float,
-    kink: bool,
+    crossed: int,
     sides: Ints,
     c: Matrix,
     aside: Matrix,
@@ -67,8 +67,8 @@ def follows(
     held : bool
         Whether contacts are held, or the state slides on a surface. Forces then cancel and leave
         rounding that nothing here shows; they are taken to be at least of order one.
-    kink : bool
-        Whether the step ends at a kink.
+    crossed : int
+        The kink at which the step ends; -1 if it ends at none.
     aside
         As many rows as ``c``, and two columns.
     work
@@ -76,7 +76,7 @@ def follows(
         there and at the end. A step that is accepted leaves its end there.
     """
     n, end = states(p, program), place(p, program, work)
-    inside, last = HELD_INSIDE * h, HELD_BEFORE * h if kink else h
+    inside, last = HELD_INSIDE * h, h if crossed < 0 else short_of(p, program, crossed, t, h, c)
     scale, fastest = 0.0, 1.0 if held else 0.0
     for i in range(n):
         scale = max(scale, SMALLEST * abs(c[i, 0]))
@@ -89,6 +89,19 @@ def follows(
         return False
     point, rates = work[end : end + n], work[end - n : end]
     return _held(p, program, t, last, h, scale, fastest, point, rates, sides, c, aside, work)
+
+
+def short_of(p: Programs, program: int, crossed: int, t: float, h: float, c: Matrix) -> float:
+    """A place just before the kink at the end of a step, from where rounding does not hide on which
+    side of it the state is; the place inside, if it hides that nearly everywhere."""
+    kink = p.index[program, KINKS] + crossed
+    series, order = c[p.kinks[kink, KINK_ROW]], c.shape[1] - 1
+    size = power_size(series, 0, order, h) + abs(c[p.kinks[kink, PART_ROW], 0])
+    _, rate = power_value(series, 0, order, h)
+    hidden = MISSED * EPS * (size + abs(t * rate))
+    if not hidden < (1.0 - HELD_INSIDE) * h * abs(rate):
+        return HELD_INSIDE * h
+    return min(HELD_BEFORE * h, h - hidden / abs(rate))
 
 
 def _held(
@@ -150,7 +163,7 @@ def bends(
     row: int,
     t: float,
     h: float,
-    ends: bool,
+    last: float,
     sides: Ints,
     c: Matrix,
     aside: Matrix,
@@ -160,13 +173,12 @@ def bends(
 
     The height of a low flight does not show it, being less than the rounding of the state; nor do
     the sides of kinks that are zero where the gap is (``|x|``). So the sides of the step are used
-    and, with ``ends`` (it ends at a kink or an impact), a point just before its end. ``aside`` has
-    three columns.
+    and, where it ends at a kink or an impact, a point just before its end. That is the ``last`` of
+    the two that are looked at. ``aside`` has three columns.
     """
     first = place(p, program, work)
     point = work[first : first + states(p, program)]
-    for share in (HELD_INSIDE, HELD_BEFORE if ends else 1.0):
-        s = share * h
+    for s in (HELD_INSIDE * h, last):
         along(c, s, point)
         look(p, program, 2, t + s, point, True, sides, aside, work)
         here = 2.0 * aside[row, 2]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from .arrays import Floats, Ints, Matrix, Programs
-from .checks import bends, follows, look
+from .checks import HELD_BEFORE, bends, follows, look, short_of
 from .jets import KINKS, OUTPUT
 from .kinks import (
     KINK_KIND,
@@ -261,11 +261,12 @@ def _piece(
     if math.isnan(h):
         return NOT_FINITE, h, -1, gap, speed
     kink = crossed >= 0
-    if not follows(p, program, held, t, h, kink, sides, c, aside, work):
+    if not follows(p, program, held, t, h, crossed, sides, c, aside, work):
         return OFF_SERIES, h, -1, gap, speed
     lands = h == zero
+    last = short_of(p, program, crossed, t, h, c) if kink else HELD_BEFORE * h if lands else h
     of_states = p.affine[place] == 1  # its series is theirs
-    if not (of_states or bends(p, program, row, t, h, kink or lands, sides, c, aside, work)):
+    if not (of_states or bends(p, program, row, t, h, last, sides, c, aside, work)):
         return OFF_SERIES, h, -1, gap, speed
     rest, slope = power_value(c[row], 2, c.shape[1] - 1, h)
     gap += (speed + rest * h) * h

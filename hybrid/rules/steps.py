@@ -109,7 +109,7 @@ def step(
             return status, 0.0, -1
     if not arrives(p, program, t, h, seen, sides, c, aside, work, end):
         h, crossed = before_border(p, program, t, tau, h, sides, c, aside, work, end), -1
-        if h == 0.0 or not follows(p, program, held, t, h, False, sides, c, aside, work):
+        if h == 0.0 or not follows(p, program, held, t, h, -1, sides, c, aside, work):
             return NOT_FINITE, 0.0, -1
     return 0, h, crossed
 
@@ -294,7 +294,7 @@ def _length(
                 return 0, h, crossed
         rounded = (tau + h) - tau  # as the time will be
         h = rounded if 0.0 < rounded < min(most, tried) else h
-        if follows(p, program, held, t, h, crossed >= 0, sides, c, aside, work):
+        if follows(p, program, held, t, h, crossed, sides, c, aside, work):
             return 0, h, crossed
         h, tried = 0.5 * h, h
     return NO_STEP, 0.0, -1

@@ -38,7 +38,7 @@ from ..zeno.flight import falls
 from .border import leaving, within
 from .entry import Entry, departed, describe, expand, heading, opened, side_before, zero_within
 from .held import hidden_corner
-from .kinked import begin
+from .kinked import begin, is_held
 from .losses import MAY_HIDE, Losses
 from .pace import Pace
 
@@ -256,8 +256,8 @@ class ArcFlow:
             landed = None
             if first.tau > segment.start:
                 landed = self._land(stepper, segment, first, again=attempt > 0)
-            if landed is None:
-                stepper.tau, stepper.x = segment.start, x
+            if landed is None or not landed.length > 0.0:  # within rounding of the step's start
+                landed, stepper.tau, stepper.x = None, segment.start, x
                 break
             if not stepper.repeats:
                 self._lose(segment.start, x, stepper)
@@ -624,6 +624,8 @@ class ArcFlow:
         x = segment(before)
         if self.field.project is not None:
             x = np.array(self.field.project(self.now.t + before, x.tolist()))
+            if is_held(cut.kink, self.field, self.now.t + before, x, segment.length):
+                return False
         after, there = self.now.t + zero.tau, segment(zero.tau)
         beyond = _outside(guard, guard.value(after, there.tolist()))
         noise = GUARD_ROUNDING * EPS * self._terms(guard, zero.tau, x)

@@ -44,6 +44,10 @@ MOST_PASSES = 256
 #: Times and states within so many roundings are not told apart.
 SPACINGS = 16
 
+#: How far time and states are moved off what holds the state, relative to them, and how much of a
+#: deciding function that is zero there may be left when they are moved back; rounding leaves less.
+ASIDE, HELD_SHARE = 1e-4, 1e-3
+
 #: How far time and states are moved to measure the rounding of a deciding function, and how much of
 #: it the last coefficients of its polynomial may be.
 MOVED, NOISE = 8 * EPS, 1e4
@@ -60,14 +64,34 @@ def begin(
 ) -> Stepper:
     """A stepper for an arc, whose steps end where the flow changes its formula.
 
-    An arc that starts at such a place starts beyond it. While the state slides on a surface no such
-    place is looked for: rounding decides on signs there.
+    An arc that starts at such a place starts beyond it. Deciding functions that are zero all along
+    what holds the state, as a surface on which it slides, show no such place: rounding decides on
+    their signs.
     """
-    changes = [kink for kink in field.changes if kink.change != "ends"]
     t, x = beyond_kinks(field, field.changes, t0, x0)
-    if solver.cuts or not changes or field.project is not None:
+    changes = [kink for kink in field.changes if kink.change != "ends"]
+    if changes and field.project is not None and not solver.cuts:
+        changes = [kink for kink in changes if not is_held(kink, field, t, x, length)]
+    if solver.cuts or not changes:
         return solver.begin(field, t, x, length, first_step, sizes)
     return KinkedStepper(solver, field, changes, (t, x, length, first_step, sizes))
+
+
+def is_held(kink: Kink, field: Field, t: float, x: StateVector, length: float) -> bool:
+    """Whether a deciding function is zero wherever the state is held, as far as states beside this
+    one show: those that are moved off, and back onto what holds the state."""
+    assert field.project is not None
+    sizes = np.where(x == 0.0, np.abs(x).max() or 1.0, x)
+    here = abs(kink.value(t, x.tolist()))
+    for share in (ASIDE, -ASIDE):
+        then, aside = (
+            t + ASIDE * length,
+            (x + share * sizes * np.linspace(1.0, 2.0, len(x))).tolist(),
+        )
+        off, back = kink.value(then, aside), kink.value(then, list(field.project(then, aside)))
+        if not max(here, abs(back)) <= HELD_SHARE * abs(off):
+            return False
+    return True
 
 
 class _Along:

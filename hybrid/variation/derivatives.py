@@ -272,9 +272,9 @@ class Derivatives:
 
     def _inputs(self, graph: ModeGraph) -> list[int]:
         """The node of each column; for a delayed state, that of its window's constant term."""
-        shapes, windows = self.scene.code.shapes, len(self.scene.spec.windows)
-        own = len(shapes) - windows
-        shown = [graph.inputs[place][0] for place in range(own + 1, len(shapes), 2)]
+        shapes = self.scene.code.shapes
+        first = len(shapes) - 2 * len(self.scene.spec.lags)  # each has a frame, and coefficients
+        shown = [graph.inputs[place][0] for place in range(first + 1, len(shapes), 2)]
         parameters = [i for ids in graph.inputs[: len(shapes)] for i in np.reshape(ids, -1)]
         inputs = [graph.t, *graph.x, *(i for row in shown for i in row)]
         return [int(i) for i in [*inputs, *parameters[: self.count]]]

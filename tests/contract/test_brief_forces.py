@@ -339,3 +339,88 @@ def test_a_force_that_switches_in_a_tail_counts(solver, r, before, lasts, force)
         if solver == "taylor":
             assert abs(point.t - exact) < 2e-15  # spacings of the time
         assert point.enclosure is None or point.enclosure[0] <= exact <= point.enclosure[1]
+
+
+class Resting(hy.Automaton):
+    """A body comes to rest; meanwhile ``p`` goes on, and passes a zone of width ``2 w`` at ``c``.
+    Signs that are zero while it rests are decided by rounding."""
+
+    x = hy.state()
+    v = hy.state()
+    p = hy.state()
+    q = hy.state()
+    c: float = hy.parameter(2.0)
+    w: float = hy.parameter(0.01)
+
+    @hy.mode
+    def flight(self, t, s):
+        inside = jnp.where(jnp.abs(s.p - self.c) < self.w, 1.0, 0.0)
+        return s.v, -9.81 - 0.3 * jnp.sign(s.v), 1.0, inside
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+
+class Sliding(Resting):
+    """The state slides on ``x = 0``, by equal shares of two flows with other rates of ``q``."""
+
+    def inside(self, s):
+        return jnp.where(jnp.abs(s.p - self.c) < self.w, 1.0, 0.0)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return -1.0, jnp.abs(s.x), 1.0, 0.5 * self.inside(s)
+
+    @hy.mode
+    def below(self, t, s):
+        return 1.0, jnp.abs(s.x), 1.0, 1.5 * self.inside(s)
+
+    impact = hy.switching(flight, below, surface=lambda self, t, s: s.x)
+
+
+@pytest.mark.parametrize("way", METHODS, indirect=True)
+@pytest.mark.parametrize("cls", [Resting, Sliding])
+@pytest.mark.parametrize("w", [1e-2, 1e-5])
+def test_no_method_steps_over_a_thin_zone_while_the_state_is_held(way, cls, w):
+    """At rest, and sliding: the state passes the zone after 2, 2.71 and 3.9."""
+    start, places = {"x": 0.1, "v": 0.0, "p": 0.0, "q": 0.0}, [2.0, 2.71, 3.9]
+    for c in places:
+        result = way.run(cls(c=c, w=w), start, (0.0, 5.0))
+        assert result.final.q == pytest.approx(2 * w, abs=1e-7)
+
+
+class Wind(hy.Automaton):
+    """A drag of constant size against the motion relative to a floor, which moves: as ``rate`` and
+    ``rise`` have it, or not at all."""
+
+    x = hy.state()
+    v = hy.state()
+    rate: float = hy.parameter(0.0)
+    rise: float = hy.parameter(0.0)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -10.0 - jnp.sign(s.v - self.rate - self.rise * t)
+
+    impact = hy.contact(
+        flight,
+        gap=lambda self, t, s: s.x - self.rate * t - 0.5 * self.rise * t * t,
+        restitution=0.5,
+    )
+
+
+@pytest.mark.parametrize("way", ["taylor", *METHODS[:2], METHODS[3]], indirect=True)
+@pytest.mark.parametrize("rate", [0.0, 1.0, 30.0])
+@pytest.mark.parametrize("rise", [0.0, 2.0, -3.0])
+def test_impacts_accumulate_in_a_wind_that_turns_in_each_flight(way, rate, rise):
+    """Flights become lower than the rounding of the state, which hides whether they still rise; the
+    sum is that of a geometric series, the same however the floor moves uniformly."""
+    up, down = 11.0 + rise, 9.0 + rise
+    fall = math.sqrt(2.0 * 0.2 / down)
+    speed, ratio = 0.5 * down * fall, 0.5 * math.sqrt(down / up)
+    t_inf = fall + speed * (1.0 / up + 1.0 / math.sqrt(up * down)) / (1.0 - ratio)
+    model = Wind(rate=rate, rise=rise)
+    result = way.run(model, {"x": 0.2, "v": rate}, (0.0, 1.5))
+    assert (result.status, result.accumulations) == ("reached_end", 1)
+    assert abs(result.t_inf - t_inf) <= result.t_error
+    assert result.t_error <= 1e-6 * max(1.0, rate)
+    assert result.final.x == pytest.approx(1.5 * rate + 1.125 * rise, rel=1e-9, abs=1e-9)
