@@ -76,7 +76,7 @@ from ..rules.places import (
     WINDOW_DEGREE,
 )
 from ..rules.record import SHOWN_ROUNDING, WINDOW_SHARE
-from ..rules.windows import FIXED, MOVES_ON
+from ..rules.windows import FIXED, MOVES_ON, ROUGH_MOST, ROUGH_NEAR
 from ..segment import Segment, from_powers, from_values, nodes, straight
 from ..trajectory.arcs import Arc, TailPart
 from ..trajectory.clock import Instant
@@ -88,6 +88,7 @@ from .pieces import (
     Piece,
     Pieces,
     constant,
+    jump_of,
     piece_of,
     slack_of,
     states,
@@ -408,13 +409,32 @@ class Memory:
         """Supply the requested values of the caller's history; returns its error, if any."""
         a, b = self.floats[[ASKED_FROM, ASKED_UNTIL]].tolist()
         pieces = [self.pieces.piece(k) for k in range(*self.ints[[ASKED, ASKED_UP_TO]].tolist())]
+        since = (b - a) * nodes(WINDOW_DEGREE)
         try:
             with np.errstate(all="ignore"):
-                self._supplied[:] = states(pieces, a, (b - a) * nodes(WINDOW_DEGREE)).T
+                self._supplied[:] = states(pieces, a, since).T
+                if self._splits(pieces, a + since):
+                    self.ints[ASKING] = -1
         except OptionError as fault:
             self._supplied[:] = np.nan
             return fault
         return None
+
+    def _splits(self, pieces: list[Piece], times: Numbers) -> bool:
+        """Whether the caller's history jumps between times at which it has been asked for; if so,
+        that is a breaking point, and the windows are read anew."""
+        for place, piece in enumerate(pieces, int(self.ints[ASKED])):
+            inside = (times > piece.start) & (times < piece.end)
+            if isfinite(piece.degree) or np.count_nonzero(inside) < 2:
+                continue
+            jump = jump_of(piece, times[inside], self._supplied.T[inside])
+            near = ROUGH_NEAR * (self.plan.t1 - self.plan.t0)
+            if jump and np.sum(np.abs(self.breaks.times - jump[0]) < near) < ROUGH_MOST:
+                self.ints[PIECES_KEPT] = self.ints[PIECES_KNOWN]
+                self.pieces.split(place, jump[0])
+                self.breaks.insert(*jump)
+                return True
+        return False
 
     def read(self) -> Scene:
         """The scene with the windows just computed."""

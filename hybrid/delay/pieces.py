@@ -13,7 +13,7 @@ import numpy as np
 
 from ..lowering import Field
 from ..rules.places import BREAKS, PIECES_KEPT, PIECES_KNOWN, WINDOW_DEGREE
-from ..rules.record import UP_TO
+from ..rules.record import BEGIN, UP_TO
 from ..rules.windows import WINDOW_ROUNDING
 from ..segment import Segment, from_values, integrals, nodes
 from ..solvers.taylor_backend import HIGHEST
@@ -36,6 +36,11 @@ INSIDE = 1e-12
 #: Initial capacity for pieces and breaking points; columns of a piece's row; and most coefficients
 #: of a piece, which are those of steps of the highest order.
 FIRST_ROOM, COLUMNS, WIDTH = 256, 6, HIGHEST + 1
+
+
+#: The share of a function's change over a window that is one between neighbouring places, and that
+#: is still there between neighbouring floats, if it jumps.
+JUMP_SHARE = 0.5
 
 
 @attrs.frozen(eq=False)
@@ -106,6 +111,42 @@ def constant(x: StateVector, end: float) -> Piece:
 
 def _always(x: StateVector, s: float, since: Numbers) -> StateVectors:
     return np.broadcast_to(x, (len(since), len(x)))
+
+
+def _up_to(whole: Piece, last: float, s: float, since: Numbers) -> Matrix:
+    """A function's states up to a time, and no later ones."""
+    return whole.state(0.0, np.minimum(s + since, last))
+
+
+def _from(whole: Piece, first: float, s: float, since: Numbers) -> Matrix:
+    """A function's states from a time on, and no earlier ones."""
+    return whole.state(0.0, np.maximum(s + since, first))
+
+
+def jump_of(piece: Piece, times: Numbers, values: Matrix) -> tuple[float, Integers] | None:
+    """The place of a jump of a caller's function, of which the values at some times are given, as
+    bisection shows: the first time behind it, and the order of the breaking point for each element.
+
+    A function that is steep, but does not jump, is the less different the nearer the places.
+    """
+    steps, spread = np.abs(np.diff(values, axis=0)), np.ptp(values, axis=0)
+    shares = np.divide(steps, spread, out=np.zeros_like(steps), where=spread > 0.0)
+    if not shares.max(initial=0.0) >= JUMP_SHARE:
+        return None
+    k, element = np.unravel_index(np.argmax(shares), shares.shape)
+    low, high = times[k], times[k + 1]
+    before, behind = values[k], values[k + 1]
+    least = JUMP_SHARE * steps[k, element]
+    while low < (middle := 0.5 * low + 0.5 * high) < high:
+        there = piece.state(middle, np.zeros(1))[0]
+        if abs(there[element] - before[element]) >= abs(behind[element] - there[element]):
+            high, behind = middle, there
+        else:
+            low, before = middle, there
+        if not abs(behind[element] - before[element]) >= least:
+            return None
+    jumps = np.abs(behind - before) > JUMP_SHARE * steps[k]
+    return float(high), np.where(jumps, 0, 1)
 
 
 def states(pieces: Sequence[Piece], s: float, since: Numbers) -> Matrix:
@@ -195,6 +236,22 @@ class Pieces:
         held = self.spans, self.degrees, self.rows
         self.spans, self.degrees, self.rows = (np.concatenate([a, np.empty_like(a)]) for a in held)
 
+    def split(self, place: int, t: float) -> None:
+        """Divide the piece at index ``place``, a function of the caller's that jumps at ``t``. What
+        it is at that one time, as ``sign`` is 0 there, belongs to neither part."""
+        whole, aside = self._others.pop(place), 2.0 * ulp(t)
+        if self.full:
+            self.grow()
+        kept, n = self.count, self.dimension
+        for array, size in ((self.spans, 1), (self.degrees, 1), (self.rows, n)):
+            array[(place + 1) * size : (kept + 1) * size] = array[place * size : kept * size].copy()
+        self._others = {k + (k > place): piece for k, piece in self._others.items()}
+        self._others[place] = attrs.evolve(whole, end=t, state=partial(_up_to, whole, t - aside))
+        self._others[place + 1] = attrs.evolve(whole, start=t, state=partial(_from, whole, t + aside))
+        self.spans[place, UP_TO] = self.spans[place + 1, BEGIN] = t
+        self.ints[PIECES_KEPT] += 1
+        self.ints[PIECES_KNOWN] += 1
+
     def forget(self, before: float) -> None:
         """Drop pieces that end before a time, if they are the majority."""
         count, kept = int(np.searchsorted(self.ends, before)), self.count
@@ -268,6 +325,15 @@ class Breaks:
             self._orders[place - 1] = np.minimum(self._orders[place - 1], orders)
             return
         self.reserve()
+        self._times[place], self._orders[place] = t, orders
+        self.ints[BREAKS] += 1
+
+    def insert(self, t: float, orders: Integers) -> None:
+        """Add a breaking point in its place."""
+        place, count = int(np.searchsorted(self.times, t)), int(self.ints[BREAKS])
+        self.reserve()
+        for array in self.arrays:
+            array[place + 1 : count + 1] = array[place:count].copy()
         self._times[place], self._orders[place] = t, orders
         self.ints[BREAKS] += 1
 

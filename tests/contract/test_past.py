@@ -166,6 +166,27 @@ def test_a_history_that_does_not_lead_to_the_start_is_a_jump(way):
     assert result.final.z == pytest.approx(3.0, abs=1e-12)
 
 
+JUMPING = {
+    "where": lambda t: jnp.where(t < -0.3286, 1.4 + 0.2 * t, 0.4),
+    "floor": lambda t: 0.4 - jnp.floor(t + 0.3286),  # as it is to the left of there
+    "sign": lambda t: 1.0 - 0.5 * jnp.sign(t + 0.3286) + 0.1 * t,
+    "steep": lambda t: 0.9 - 0.5 * jnp.tanh(1e5 * (t + 0.3286)),
+}
+
+
+@pytest.mark.parametrize(("history", "lag"), spread([*JUMPING], [0.5378688370073788, 0.7, 0.91]))
+def test_a_jump_within_the_history_is_a_breaking_point(way, history, lag):
+    """A guard that it carries over zero fires there, once; so does one that comes over steeply."""
+    given = {"y": JUMPING[history], "z": 0.0}
+    result = way.run(
+        Passed(lag=lag), {"y": float(given["y"](0.0)), "z": 0.0}, (0.0, lag - 1e-3), history=given
+    )
+    assert (result.status, result.jumps, result.final.z) == ("reached_end", 1, 1.0)
+    if way.tells("edges"):
+        abs_error = 2e-6 if history == "steep" else 1e-14
+        assert result.times[0] == pytest.approx(lag - 0.3286, abs=abs_error)
+
+
 def test_what_a_restarted_memory_shows(way):
     """The state after the jump, and not the jump: nothing is carried a lag later."""
     start, options = {"y": 1.0, "z": 0.0}, {"memory": "restart"}
@@ -173,6 +194,22 @@ def test_what_a_restarted_memory_shows(way):
     fired(way, result, ["kick"])
     result = way.run(Seen(level=4.0, look=0.75), start, (0.0, 3.0), **options)
     assert result.final.z == pytest.approx(3.0, abs=1e-12)
+
+
+class Passed(hy.Automaton):
+    """``z`` counts how often ``y`` a lag ago passes 0.98."""
+
+    y = hy.state()
+    z = hy.state()
+    lag: float = hy.parameter(0.5)
+
+    @hy.mode
+    def waits(self, t, s):
+        return 0.0, 0.0
+
+    @hy.edge(waits, guard=lambda self, t, s, past: past(self.lag).y - 0.98, crossing=hy.EITHER)
+    def seen(self, t, s):
+        return s.replace(z=s.z + 1.0)
 
 
 class Lifted(hy.Automaton):
