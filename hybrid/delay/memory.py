@@ -76,7 +76,7 @@ from ..rules.places import (
     WINDOW_DEGREE,
 )
 from ..rules.record import SHOWN_ROUNDING, WINDOW_SHARE
-from ..rules.windows import FIXED, MOVES_ON, ROUGH_MOST, ROUGH_NEAR
+from ..rules.windows import AT_THE_END, FIXED, MOVES_ON, ROUGH_MOST, ROUGH_NEAR
 from ..segment import Segment, from_powers, from_values, nodes, straight
 from ..trajectory.arcs import Arc, TailPart
 from ..trajectory.clock import Instant
@@ -361,6 +361,15 @@ class Memory:
             self.ints[ASKING] = -1
             self._found(self._read())
         return self.read()
+
+    def misses(self, t: float, x: StateVector) -> bool:
+        """Whether a lag looks outside its present window, as it has jumped."""
+        if not any(self.moving):
+            return False
+        places = np.array([self._place(k, t, x) for k in range(len(self._lags))])
+        since, to = self._frames[:, :LONGEST].T
+        apart = AT_THE_END * np.array([slack_of(t, place) for place in places])
+        return bool(np.any((places < since - apart) | (places > to + apart)))
 
     def _looks(self, t: float, x: StateVector) -> None:
         """Store the state, and the time ``t - lag`` of each lag."""

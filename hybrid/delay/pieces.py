@@ -246,8 +246,9 @@ class Pieces:
         for array, size in ((self.spans, 1), (self.degrees, 1), (self.rows, n)):
             array[(place + 1) * size : (kept + 1) * size] = array[place * size : kept * size].copy()
         self._others = {k + (k > place): piece for k, piece in self._others.items()}
-        self._others[place] = attrs.evolve(whole, end=t, state=partial(_up_to, whole, t - aside))
-        self._others[place + 1] = attrs.evolve(whole, start=t, state=partial(_from, whole, t + aside))
+        earlier, later = partial(_up_to, whole, t - aside), partial(_from, whole, t + aside)
+        self._others[place] = attrs.evolve(whole, end=t, state=earlier)
+        self._others[place + 1] = attrs.evolve(whole, start=t, state=later)
         self.spans[place, UP_TO] = self.spans[place + 1, BEGIN] = t
         self.ints[PIECES_KEPT] += 1
         self.ints[PIECES_KNOWN] += 1

@@ -48,6 +48,9 @@ def carry_out(driver: Driver, guard: Guard, x: StateVector, carried: bool = Fals
     for signs in (driver.tied, driver.touched):
         signs.pop(guard.edge, None)
     driver.spent |= {guard.edge} | clocks.failing(driver, x)
+    memory = driver.record.memory
+    if memory is not None and guard.kind in ("edge", "contact") and memory.misses(driver.t, x):
+        driver.scene = memory.look(driver.t, x)
     if guard.kind == "contact":
         _impact(driver, guard, x, carried)
     elif guard.kind == "release":

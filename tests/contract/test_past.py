@@ -166,6 +166,41 @@ def test_a_history_that_does_not_lead_to_the_start_is_a_jump(way):
     assert result.final.z == pytest.approx(3.0, abs=1e-12)
 
 
+class Leaping(hy.Automaton):
+    """An oscillator; at ``on`` a lag leaps from ``lag`` to twice that. An edge that is carried over
+    zero by it puts down what it sees."""
+
+    x = hy.state()
+    y = hy.state()
+    seen = hy.state()
+    lag: float = hy.parameter(0.6)
+    on: float = hy.parameter(1.2)
+
+    @hy.mode
+    def swings(self, t, s):
+        return s.y, -s.x, 0.0
+
+    def look(self, t, past):
+        return past(jnp.where(t < self.on, self.lag, 2.0 * self.lag))
+
+    @hy.edge(swings, guard=lambda self, t, s, past: self.look(t, past).x)
+    def leaps(self, t, s, past):
+        return s.replace(seen=self.look(t, past).y)
+
+
+@pytest.mark.parametrize("lag", [0.6, 0.31, *later(0.45, 0.55)])
+@pytest.mark.parametrize("on", [1.3, *later(1.7)])
+def test_the_reset_of_what_a_lag_carries_sees_what_it_shows_then(way, lag, on):
+    """Not the window that the lag has left, continued: ``x = sin(t - phase)`` falls a lag ago."""
+    phase, begin = on - 1.5 * lag, on - 0.4 * lag
+    start = {"x": math.sin(begin - phase), "y": math.cos(begin - phase), "seen": 0.0}
+    history = {"x": lambda t: jnp.sin(t - phase), "y": lambda t: jnp.cos(t - phase), "seen": 0.0}
+    span = begin, on + 0.3 * lag
+    result = way.run(Leaping(lag=lag, on=on), start, span, history=history, **TIGHT)
+    assert (result.status, result.jumps) == ("reached_end", 1)
+    assert result.final.seen == pytest.approx(math.cos(0.5 * lag), abs=tolerance(way))
+
+
 JUMPING = {
     "where": lambda t: jnp.where(t < -0.3286, 1.4 + 0.2 * t, 0.4),
     "floor": lambda t: 0.4 - jnp.floor(t + 0.3286),  # as it is to the left of there
