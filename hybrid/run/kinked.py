@@ -81,13 +81,9 @@ def is_held(kink: Kink, field: Field, t: float, x: StateVector, length: float) -
     """Whether a deciding function is zero wherever the state is held, as far as states beside this
     one show: those that are moved off, and back onto what holds the state."""
     assert field.project is not None
-    sizes = np.where(x == 0.0, np.abs(x).max() or 1.0, x)
-    here = abs(kink.value(t, x.tolist()))
-    for share in (ASIDE, -ASIDE):
-        then, aside = (
-            t + ASIDE * length,
-            (x + share * sizes * np.linspace(1.0, 2.0, len(x))).tolist(),
-        )
+    moved = np.where(x == 0.0, np.abs(x).max() or 1.0, x) * np.linspace(ASIDE, 2.0 * ASIDE, len(x))
+    here, then = abs(kink.value(t, x.tolist())), t + ASIDE * length
+    for aside in ((x + moved).tolist(), (x - moved).tolist()):
         off, back = kink.value(then, aside), kink.value(then, list(field.project(then, aside)))
         if not max(here, abs(back)) <= HELD_SHARE * abs(off):
             return False
