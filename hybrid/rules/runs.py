@@ -145,7 +145,9 @@ def accumulated(
     held = a.fields[field, CONSTRAINED] == 1
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
     x, v, column = left.after[place], now.floats[GAP_SPEED], guard - a.fields[field, GUARDS]
-    if spent(a, now, room, guard, t, x, v):  # no sum was to be had, and the limit is reached
+    _, fast, _ = sizes_of(a, room, guard, t, now.seen)
+    spent = fast < math.inf and v <= LIMIT_SPEED * fast
+    if spent:  # no sum was to be had, and the limit is reached
         return JUMP
     rtol, atol = run[CLOSING] * run[RELATIVE], run[CLOSING] * run[ABSOLUTE]
     local = a.guards[guard, LOCAL] == 1
@@ -172,16 +174,6 @@ def accumulated(
         now.floats[TRIED] = v if (run[LAST_TIME] - end) - rest >= 0.0 else MUCH_LATER * v
         return GOES_ON
     return rests(a, run, now, room, left, t, low, proved)
-
-
-def spent(
-    a: AutomatonArrays, now: Now, room: Room, guard: int, t: float, x: Floats, v: float
-) -> bool:
-    """Whether the speed behind an impact is rounding, of what it has been or of what it is: by the
-    latter the body is at rest (3)."""
-    _, fast, _ = sizes_of(a, room, guard, t, now.seen)
-    _, here, _ = sizes_of(a, room, guard, t, x)
-    return fast < math.inf and v <= max(LIMIT_SPEED * fast, GUARD_ROUNDING * EPS * here)
 
 
 def fits(run: Floats, now: Now, left: Left, tail: int, t: float, low: float, x: Floats) -> bool:
