@@ -436,12 +436,12 @@ class Memory:
             inside = (times > piece.start) & (times < piece.end)
             if isfinite(piece.degree) or np.count_nonzero(inside) < 2:
                 continue
-            jump = jump_of(piece, times[inside], self._supplied.T[inside])
-            near = ROUGH_NEAR * (self.plan.t1 - self.plan.t0)
-            if jump and np.sum(np.abs(self.breaks.times - jump[0]) < near) < ROUGH_MOST:
+            t, orders = jump_of(piece, times[inside], self._supplied.T[inside])
+            near = np.abs(self.breaks.times - t) < ROUGH_NEAR * (self.plan.t1 - self.plan.t0)
+            if isfinite(t) and np.count_nonzero(near) < ROUGH_MOST:
                 self.ints[PIECES_KEPT] = self.ints[PIECES_KNOWN]
-                self.pieces.split(place, jump[0])
-                self.breaks.insert(*jump)
+                self.pieces.split(place, t)
+                self.breaks.insert(t, orders)
                 return True
         return False
 

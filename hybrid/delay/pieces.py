@@ -123,16 +123,18 @@ def _from(whole: Piece, first: float, s: float, since: Numbers) -> Matrix:
     return whole.state(0.0, np.maximum(s + since, first))
 
 
-def jump_of(piece: Piece, times: Numbers, values: Matrix) -> tuple[float, Integers] | None:
+def jump_of(piece: Piece, times: Numbers, values: Matrix) -> tuple[float, Integers]:
     """The place of a jump of a caller's function, of which the values at some times are given, as
-    bisection shows: the first time behind it, and the order of the breaking point for each element.
+    bisection shows: the first time behind it, infinite if there is none, and the order of the
+    breaking point for each element.
 
     A function that is steep, but does not jump, is the less different the nearer the places.
     """
+    none = np.inf, np.ones(values.shape[1], dtype=int)
     steps, spread = np.abs(np.diff(values, axis=0)), np.ptp(values, axis=0)
     shares = np.divide(steps, spread, out=np.zeros_like(steps), where=spread > 0.0)
     if not shares.max(initial=0.0) >= JUMP_SHARE:
-        return None
+        return none
     k, element = np.unravel_index(np.argmax(shares), shares.shape)
     low, high = times[k], times[k + 1]
     before, behind = values[k], values[k + 1]
@@ -144,7 +146,7 @@ def jump_of(piece: Piece, times: Numbers, values: Matrix) -> tuple[float, Intege
         else:
             low, before = middle, there
         if not abs(behind[element] - before[element]) >= least:
-            return None
+            return none
     jumps = np.abs(behind - before) > JUMP_SHARE * steps[k]
     return float(high), np.where(jumps, 0, 1)
 
