@@ -113,14 +113,9 @@ def _always(x: StateVector, s: float, since: Numbers) -> StateVectors:
     return np.broadcast_to(x, (len(since), len(x)))
 
 
-def _up_to(whole: Piece, last: float, s: float, since: Numbers) -> Matrix:
-    """A function's states up to a time, and no later ones."""
-    return whole.state(0.0, np.minimum(s + since, last))
-
-
-def _from(whole: Piece, first: float, s: float, since: Numbers) -> Matrix:
-    """A function's states from a time on, and no earlier ones."""
-    return whole.state(0.0, np.maximum(s + since, first))
+def _between(whole: Piece, first: float, last: float, s: float, since: Numbers) -> Matrix:
+    """A function's states from one time to another, and no earlier or later ones."""
+    return whole.state(0.0, np.clip(s + since, first, last))
 
 
 def jump_of(piece: Piece, times: Numbers, values: Matrix) -> tuple[float, Integers]:
@@ -248,7 +243,8 @@ class Pieces:
         for array, size in ((self.spans, 1), (self.degrees, 1), (self.rows, n)):
             array[(place + 1) * size : (kept + 1) * size] = array[place * size : kept * size].copy()
         self._others = {k + (k > place): piece for k, piece in self._others.items()}
-        earlier, later = partial(_up_to, whole, t - aside), partial(_from, whole, t + aside)
+        earlier = partial(_between, whole, -np.inf, t - aside)
+        later = partial(_between, whole, t + aside, np.inf)
         self._others[place] = attrs.evolve(whole, end=t, state=earlier)
         self._others[place + 1] = attrs.evolve(whole, start=t, state=later)
         self.spans[place, UP_TO] = self.spans[place + 1, BEGIN] = t

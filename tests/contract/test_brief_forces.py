@@ -352,19 +352,18 @@ class Resting(hy.Automaton):
     c: float = hy.parameter(2.0)
     w: float = hy.parameter(0.01)
 
+    def inside(self, s):
+        return jnp.where(jnp.abs(s.p - self.c) < self.w, 1.0, 0.0)
+
     @hy.mode
     def flight(self, t, s):
-        inside = jnp.where(jnp.abs(s.p - self.c) < self.w, 1.0, 0.0)
-        return s.v, -9.81 - 0.3 * jnp.sign(s.v), 1.0, inside
+        return s.v, -9.81 - 0.3 * jnp.sign(s.v), 1.0, self.inside(s)
 
     impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
 
 
 class Sliding(Resting):
     """The state slides on ``x = 0``, by equal shares of two flows with other rates of ``q``."""
-
-    def inside(self, s):
-        return jnp.where(jnp.abs(s.p - self.c) < self.w, 1.0, 0.0)
 
     @hy.mode(initial=True)
     def flight(self, t, s):
