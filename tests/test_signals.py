@@ -278,6 +278,63 @@ def test_a_load_that_jumps_below_zero_opens_its_contact(solver):
     assert abs(run.final.x - 8.75) < CLOSE[solver]  # 5 + 10 / 2 - 5 / 4
 
 
+class Borne(hy.Automaton):
+    """A weight on a floor, lifted by a force."""
+
+    x = hy.state()
+    v = hy.state()
+    weight = hy.parameter(1.0)
+    force = hy.signal(outside="hold")
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -self.weight + self.force(t)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+
+class Driven(hy.Automaton):
+    """Friction at its limit: it slides along zero while the force is less than the friction."""
+
+    v = hy.state()
+    friction = hy.parameter(1.0)
+    force = hy.signal(outside="hold")
+
+    @hy.mode(initial=True)
+    def forth(self, t, s):
+        return (self.force(t) - self.friction,)
+
+    @hy.mode
+    def back(self, t, s):
+        return (self.force(t) + self.friction,)
+
+    turn = hy.switching(forth, back, surface=lambda self, t, s: s.v)
+
+
+@pytest.mark.parametrize("looped", [True, *later(False)])
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("size", [1.0, *later(3.7, 1e3)])
+@pytest.mark.parametrize("since", [0.0, *later(-7.3)])
+@pytest.mark.parametrize("model", [Borne, Driven])
+def test_what_holds_a_state_may_touch_zero_at_a_knot(
+    monkeypatch, model, since, size, solver, looped
+):
+    """A contact lets go, and sliding ends, where what holds is less than zero, not where it is
+    zero: a force that comes to the weight, stays there or goes back, lifts nothing."""
+    if not looped:
+        without_loop(monkeypatch)
+    start = {"x": 0.0, "v": 0.0} if model is Borne else {"v": 0.0}
+    other = "weight" if model is Borne else "friction"
+    times = since + np.array([0.0, 0.3, 0.9, 1.3, 2.0])
+    for forces in ([0, 1, 0, 1, 0], [0, 1, 1, 0.9, 1], [0.9, 1, 0.5, 1, 1], [0, 1, 1, 1, 1.5]):
+        made = model(**{other: size}, force=(times, size * np.array(forces)))
+        run = hy.simulate(made, start, (since, since + 1.9), solver=solver)
+        ends = [jump for jump in run.jumps if jump.t > since]
+        lifted = forces[-1] > 1
+        assert [abs(jump.t - since - 1.3) < 1e-12 for jump in ends] == [True] * lifted, run.jumps
+        assert (run.final.v > 1e-3 * size) == lifted
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_surface_that_jumps_over_the_state_is_crossed_at_the_knot(solver):
     """One that jumps away from a state that slides on it ends that, at the knot."""

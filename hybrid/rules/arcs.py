@@ -21,7 +21,7 @@ from .contacts import onto, strays
 from .cuts import beyond_kink, straight, with_cuts
 from .dense import event_along, foreseen
 from .entries import starts
-from .guards import SMALL_SHIFT, TIE, begun, first_event, resolved, row_of
+from .guards import SMALL_SHIFT, TIE, begun, first_event, hidden, resolved, row_of
 from .jets import afresh, jets
 from .kinks import turn
 from .lengths import SHORT_SHARE, STEP_FURTHER, falls
@@ -58,6 +58,8 @@ from .places import (
     LANDED,
     LANDINGS_TRIED,
     LANDS,
+    LAST_TIME,
+    LEAVE,
     LOOK,
     LOOKS,
     LOW,
@@ -70,6 +72,8 @@ from .places import (
     PLAIN,
     PULL,
     RELATIVE,
+    RELEASE,
+    RUN_END,
     SEES,
     SERIES_REACH,
     SHORT,
@@ -283,6 +287,8 @@ def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         guard, s = event_along(a, run, now, room, h, starting)
     if not s > 0.0 or (guard >= 0 and beside(now, tau + s)):
         return LOOK
+    if guard >= 0 and waits(a, run, now, room, guard):
+        guard = NONE
     now.ints[EVENT], now.ints[LANDINGS_TRIED] = guard, 0
     if run[METHOD_ORDER] == 0.0:
         now.floats[TO_TAU] = next_tau if guard < 0 else tau + s
@@ -301,6 +307,21 @@ def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         return LAND_ON if tau + s > beyond(now, tau) else LOOK
     now.floats[TO_TAU] = next_tau
     return GOES_ON
+
+
+def waits(a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int) -> bool:
+    """Whether what holds the state comes to zero just where windows of the past, or the piece of a
+    signal, end: it holds until it is less than zero, which is for what follows to show."""
+    kind, field = a.guards[guard, KIND], now.ints[FIELD]
+    length = (run[UNTIL] - now.floats[T]) - now.floats[LOW]
+    inside = run[LAST_TIME] >= run[RUN_END] or now.floats[STEP_END] < length
+    if inside or kind not in (RELEASE, LEAVE):
+        return False
+    t, program = now.floats[T] + length, a.fields[field, FIELD_PROGRAM]
+    if afresh(a.programs, program, 0, t, now.end, room.still, room.aside, room.work) < 0:
+        return False
+    value = room.aside[row_of(a, program, field, guard), 0]
+    return abs(value) <= hidden(a, now, room, guard)
 
 
 def beyond(now: Now, tau: float) -> float:

@@ -18,9 +18,10 @@ from ..errors import FlowError, JumpLoopError, StartError
 from ..lowering import Field, Guard, Scene, released
 from ..lowering.scene import parted
 from ..rules.contacts import CLOSED, STRAYS
-from ..rules.guards import TIE
+from ..rules.guards import GUARD_ROUNDING, TIE
 from ..rules.places import PULLED, RISES
 from ..rules.ties import FURTHEST_APART
+from ..rules.zeros import EPS
 from ..solvers import Solver
 from ..solvers.watchful import Watchful
 from ..trajectory.arcs import TailPart
@@ -373,6 +374,8 @@ class Driver:
             flown = self._gather(flown, due)
             clock, fired, tied = clocks.rings(self, due, fired, flown)
         by = at_clock and clock is None and fired is None and due < self.plan.t1
+        if clock is None and fired is not None and self._waits(fired, flown):
+            fired = None
         if by or (clock is None and self._passes(fired, flown)):
             end = self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
             self.passed(flown.length)
@@ -407,6 +410,17 @@ class Driver:
         near = self.losses.near(self.scene, field, due, flown.x, flown.length)
         _, x = self.losses.beyond(field, near, due, flown.x, 0.0)
         return attrs.evolve(flown, x=x, tied={edges[i].edge: -way for i, way in near.items()})
+
+    def _waits(self, fired: Guard, flown: Flown) -> bool:
+        """Whether what holds the state comes to zero just where windows of the past, or the piece
+        of a signal, end (:func:`hybrid.rules.arcs.waits`)."""
+        t, rounded = self.horizon, TIE * np.spacing(abs(self.horizon))
+        held = fired.kind in ("release", "leave") and not flown.carried
+        if not held or t >= self.plan.t1 or self.record.now.until(t) - flown.length > rounded:
+            return False
+        size, rate, _ = self.scene.rounding(fired, self.entry.field)(t, flown.x.tolist())
+        hides = GUARD_ROUNDING * EPS * (size + abs(t) * rate)
+        return abs(fired.value(t, flown.x.tolist())) <= hides
 
     def _passes(self, fired: Guard | None, flown: Flown) -> bool:
         """Whether an arc has only reached the end of a window of the past, and goes on."""

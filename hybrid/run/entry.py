@@ -175,7 +175,7 @@ def enter(
     for index, guard in enumerate(field.guards):
         order, sign = here.start_of(guard, index, jumped)
         if sign == 0 and here.stays(guard, jumped):
-            order, sign = 0, 1
+            order, sign = 0, -DIRECTIONS[guard.crossing] or 1
         if here.closed(guard, order, sign, jumped):
             more = _with(jumped, (*jumped.held, guard.edge))
             return enter(scene, t, mode, x, more, seen, off)
@@ -481,8 +481,10 @@ class _Here:
 
     def stays(self, guard: Guard, jumped: Jumped) -> bool:
         """Whether a guard that stays zero never fires: the end of a window, the load of bodies that
-        fall together, an event at its limit."""
-        ends = guard.kind == "release" or (not guard.bounds and guard.edge in jumped.limit)
+        fall together, what holds on a surface at its limit, an event at its limit."""
+        ends = guard.kind in ("release", "leave") or (
+            not guard.bounds and guard.edge in jumped.limit
+        )
         return guard.kind == "window" or (ends and self.series is not None)
 
     def fires(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
