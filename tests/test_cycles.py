@@ -10,7 +10,7 @@ import pytest
 
 import hybrid as hy
 from hybrid.run import cycles
-from hybrid.zeno.cycle import limit, period
+from hybrid.zeno.cycle import accelerated, limit, period
 from models.two_tanks import TwoTanks
 
 from . import systems
@@ -501,3 +501,42 @@ def test_looks_are_due_whether_jumps_come_singly_or_in_rows(t, most, monkeypatch
     assert calls == 1 or due or most < len(t)
     assert all(map(np.array_equal, one.seen, rows.seen))
     assert np.array_equal(rows.seen.t, t[-len(rows.seen.t) :])
+
+
+@pytest.mark.parametrize(
+    "kind", ["geometric", "of two sequences", "of a map", "with a sign that alternates"]
+)
+def test_no_estimate_is_taken_for_better_than_it_is(kind):
+    """Sequences with a known limit and the rounding of times: where a table has come to its limit,
+    its next columns are made of rounding, and may agree with one another far from it."""
+    draw, taken = np.random.default_rng(5), 0
+    for _ in range(1500):
+        k, q, part = np.arange(draw.integers(7, 40)), draw.uniform(0.15, 0.97), draw.uniform(-1, 1)
+        other = q * draw.uniform(0.2, 0.95)
+        away = {
+            "geometric": q**k,
+            "of two sequences": q**k + 0.4 * part * other**k,
+            "of a map": q**k * (1.0 + 0.3 * part * q**k + 0.2 * draw.uniform(-1, 1) * q ** (2 * k)),
+            "with a sign that alternates": q**k + 0.3 * part * (-other) ** k,
+        }[kind]
+        limit_of = draw.uniform(0, 10) + away[0]
+        seen = (limit_of - away) * (1.0 + 1e-16 * draw.integers(-2, 3, len(k)))
+        value, error, scale = accelerated(seen[:, None], power=False)
+        if error[0] <= 1e-12 * scale[0]:
+            taken += 1
+            assert abs(value[0] - limit_of) <= max(error[0], 1e-11 * scale[0])
+    assert taken > 500
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+@pytest.mark.parametrize(
+    ("w", "v2"),
+    [(1.5750576998639327, 0.9412971824925387), (1.5314734655055463, 0.9076897712723518)],
+)
+def test_the_limit_of_tanks_is_that_of_their_total_level(w, v2, solver):
+    """It falls evenly. Of the sequence's own estimates some were far beyond, with a small error."""
+    model, start, t_inf = TwoTanks(w=w, v2=v2), {"x1": 8.0, "x2": 6.0}, 4.0 / (1.0 + v2 - w)
+    run = hy.simulate(model, start, (0.0, 27.0), solver=solver)
+    assert abs(run.zeno[0].t - t_inf) <= run.zeno[0].t_error <= 1e-11
+    lanes = hy.ensemble(model, {"x1": np.array([8.0]), "x2": 6.0}, (0.0, 27.0), solver=solver)
+    assert abs(float(lanes.t_inf[0]) - t_inf) <= float(lanes.t_inf_error[0]) <= 1e-11

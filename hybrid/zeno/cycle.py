@@ -213,16 +213,25 @@ def _aitken(sequence: np.ndarray) -> float:
 
 
 def _epsilon(sequence: Numbers) -> list[float]:
-    """Limits of a sequence by Wynn's epsilon algorithm: the last entry of each even column."""
+    """Limits of a sequence by Wynn's epsilon algorithm: the last entry of each even column.
+
+    It ends with a column that has come to rest: later ones would be made of its rounding.
+    """
     before, now, estimates = np.zeros(len(sequence) + 1), sequence, [float(sequence[-1])]
     for column in range(1, len(sequence)):
         steps = np.diff(now)
-        if np.any(steps == 0.0):
-            return [*estimates, *[float(now[-1])] * 2] if column % 2 else estimates
+        if column % 2 and _rests(steps, sequence):
+            return [*estimates, *[float(now[-1])] * 2]
         before, now = now, before[1:-1] + 1.0 / steps
         if column % 2 == 0:
             estimates.append(float(now[-1]))
     return estimates
+
+
+def _rests(steps: Numbers, sequence: Numbers) -> bool:
+    """Whether the last steps are no more than the rounding of a sequence."""
+    noise = CYCLE_ROUNDING * len(sequence) * np.max(np.abs(sequence))
+    return bool(np.max(np.abs(steps[-2:])) <= noise)
 
 
 def _levin(sequence: Numbers) -> list[float]:
@@ -234,8 +243,10 @@ def _levin(sequence: Numbers) -> list[float]:
     """
     count = np.arange(1, len(sequence))
     terms = np.diff(sequence)
-    if np.any(terms == 0.0):
+    if _rests(terms, sequence):
         return [float(sequence[-1])] * 3
+    if np.any(terms == 0.0):  # it has not fallen all along
+        return []
     estimates = []
     for k in range(1, TERMS + 1):
         place = np.unique(np.round(count[-1] * THIN ** np.arange(k + 1)).astype(int))
