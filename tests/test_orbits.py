@@ -430,6 +430,57 @@ def test_a_jump_that_nearly_grazes_is_warned_of():
     assert orbit.jumps == 1
 
 
+class Sampled(hy.Automaton):
+    """Control of an unstable state, held between samples."""
+
+    x = hy.state()
+    u = hy.state()
+    gain = hy.parameter(3.0)
+
+    @hy.mode
+    def held(self, t, s):
+        return s.x + s.u + 1.0, 0.0
+
+    @hy.edge(held, every=0.25)
+    def sample(self, t, s):
+        return s.replace(u=-self.gain * s.x)
+
+
+class Swing(hy.Automaton):
+    """Mathieu's equation: the length of a pendulum is shaken."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def swing(self, t, s):
+        return s.v, -(0.25 + 0.3 * jnp.cos(t)) * s.x - 0.02 * s.v
+
+
+@pytest.mark.parametrize("gain", [1.6, 8.0, 9.0])
+def test_a_state_that_stays_tells_the_period_by_its_neighbours(gain):
+    """It closes over any time. Per sample the multiplier is that of the exact solution."""
+    model, x = Sampled(gain=gain), 1.0 / (gain - 1.0)
+    rest = {"x": x, "u": -gain * x}
+    for period in (0.3, 0.4, 0.7):
+        with pytest.raises(hy.OptionError, match=r"carries nearby .* give the period"):
+            hy.periodic_orbit(model, rest, t=0.1, period=period)
+    exact = math.exp(0.25) - gain * (math.exp(0.25) - 1.0)
+    for start in (rest, {"x": 1.0, "u": -1.0}):  # affine: one step of Newton's method is enough
+        orbit = hy.periodic_orbit(model, start, t=0.1, period=0.25)
+        assert orbit.multipliers[0] == pytest.approx(exact, abs=1e-9)
+        assert orbit.stable == (abs(exact) < 1.0)
+
+
+def test_a_pendulum_that_hangs_still_has_the_period_of_the_shaking():
+    model = Swing()
+    for period in (1.5, 5.0, math.pi):
+        with pytest.raises(hy.OptionError, match=r"carries nearby .* give the period"):
+            hy.periodic_orbit(model, {"x": 0.0, "v": 0.0}, period=period)
+    orbit = hy.periodic_orbit(model, {"x": 0.0, "v": 0.0}, period=2.0 * math.pi)
+    assert np.prod(orbit.multipliers) == pytest.approx(math.exp(-0.04 * math.pi), abs=1e-9)
+
+
 def test_what_is_no_orbit():
     """A forced model without a period; a ball that comes to rest; an equilibrium."""
     with pytest.raises(hy.OptionError, match="depends on time: give period="):

@@ -338,6 +338,14 @@ class HistoryShooting(Shooting):
             matrix, found.saltations, values[:known][lasting], errors[:known][lasting]
         )
 
+    def apart(self, turn: Shot, other: Shot) -> float:
+        """How far the multipliers over two turns are apart, by more than their errors, relative to
+        the larger of them and 1."""
+        one, two = self.describe(turn), self.describe(other)
+        known = zip(one.multipliers, one.errors, strict=True)  # type: ignore[arg-type]
+        least = [np.abs(two.multipliers - m).min() - KNOWN_MULTIPLIER - e for m, e in known]
+        return float(max(least, default=0.0))
+
 
 def _piece(a: float, b: float, degree: int, points: Numbers, values: Matrix) -> Piece:
     """A piece of a record from ``a`` to ``b``, with given values at the points, which may extend

@@ -142,18 +142,24 @@ class Search:
         )
 
     def lasting(self, turn: Shot) -> Shot:
-        """The turn; raises an :class:`OptionError` if the next turn does not close: the model's
-        dependence on time then has another period."""
+        """The turn; raises an :class:`OptionError` if the next turn does not close, or carries
+        deviations otherwise, as it may about a state that stays where it is: the model's dependence
+        on time then has another period."""
         shooting, guess = self.shooting, turn.guess
         later = attrs.evolve(guess, t=guess.t + guess.period)
         if guess.history is not None:
             later = shooting.after(turn.run, guess.period)
-        if not shooting.timed or shooting.turn(later).residual <= LASTS:
+        if not shooting.timed:
             return turn
+        second = shooting.turn(later)
+        closes = second.residual <= LASTS
+        if closes and shooting.apart(turn, second) <= LASTS:
+            return turn
+        does = "carries nearby motions otherwise than the first" if closes else "does not close"
         raise OptionError(
             f"period={guess.period!r}: the next run of that length from {shooting.scene.spec.model}"
-            f"'s state {shooting.scene.spec.record(guess.x)} does not close; give the period of "
-            "the forcing, or a multiple of it"
+            f"'s state {shooting.scene.spec.record(guess.x)} {does}; give the period of the "
+            "forcing, or a multiple of it"
         )
 
     def shortest(self, turn: Shot) -> Shot:

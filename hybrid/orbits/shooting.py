@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 #: Most Newton steps, and most halvings of one.
 NEWTON_STEPS, NEWTON_HALVINGS = 40, 8
 
-#: Largest change by a Newton step, relative to the size of the orbit or to the period.
+#: Largest change by a Newton step at first, relative to the size of the orbit or to the period. It
+#: doubles with each step that is not halved: near a state that stays where it is a turn is small.
 NEWTON_REACH = 0.5
 
 #: The scale of a state element is at least this many times ``atol``.
@@ -181,20 +182,21 @@ class Shooting:
 
     def refine(self, guess: Guess) -> Shot:
         """Newton's method from a guess, until it stops improving."""
-        turn = self.turn(guess)
+        turn, reach = self.turn(guess), NEWTON_REACH
         for _ in range(NEWTON_STEPS):
-            better = self._improved(turn)
+            better, halvings = self._improved(turn, reach)
             if better is None:
                 break
-            turn = better
+            turn, reach = better, NEWTON_REACH if halvings else 2.0 * reach
         return turn
 
-    def _improved(self, turn: Shot) -> Shot | None:
-        """The turn after a Newton step, shortened until the residual falls; None if it does not."""
+    def _improved(self, turn: Shot, reach: float) -> tuple[Shot | None, int]:
+        """The turn after a Newton step no longer than ``reach``, shortened until the residual
+        falls, and how often it was halved; None if the residual does not fall."""
         step, stretch = self._step(turn)
         far = float(np.max(np.abs(step) / self._measure(turn)))
         size = max(far, abs(stretch) / turn.guess.period)
-        share = min(1.0, NEWTON_REACH / size) if size else 1.0
+        share = min(1.0, reach / size) if size else 1.0
         for halving in range(1 if turn.residual <= self.tol else NEWTON_HALVINGS):
             part = share * 0.5**halving
             try:
@@ -202,8 +204,8 @@ class Shooting:
             except HybridError:
                 continue
             if found.residual < (1.0 - 0.25 * part) * turn.residual:
-                return found
-        return None
+                return found, halving
+        return None, 0
 
     def moved(self, turn: Shot, step: StateVector, stretch: float) -> Guess:
         """The guess of a turn, changed by a Newton step of the state and of the period."""
@@ -249,6 +251,13 @@ class Shooting:
         matrix, saltations = self.variation(turn.run)
         values = np.linalg.eigvals(matrix).astype(complex)
         return Description(matrix, saltations, values[np.argsort(-np.abs(values))])
+
+    def apart(self, turn: Shot, other: Shot) -> float:
+        """How far the first variations over two turns are apart, relative to the larger of their
+        elements and 1, with the states relative to their scales."""
+        one, two = (self.describe(shot).matrix / turn.scale[:, None] for shot in (turn, other))
+        sizes = turn.scale * np.maximum(np.abs(one), np.abs(two))
+        return float(np.max(np.abs(one - two) * turn.scale) / max(1.0, float(np.max(sizes))))
 
     def variation(self, run: Trajectory) -> tuple[np.ndarray, list[Factor]]:
         """The monodromy matrix of a run, and the factors of its jumps and accumulations."""
