@@ -69,6 +69,26 @@ class PowerLaw(hy.Automaton):
     )
 
 
+class Tiring(PowerLaw):
+    """One whose flights fall like ``n^-p``."""
+
+    p: float = hy.parameter(1.1)
+
+    impact = hy.contact(
+        "flight",
+        gap=lambda self, t, s: s.x,
+        restitution=lambda self, t, s, u: (1.0 + jnp.abs(u) ** (1.0 / self.p)) ** -self.p,
+    )
+
+
+def test_the_search_for_the_error_of_a_slow_sum_ends():
+    """The run to compare with, of tighter tolerances, does not come to the sum in a thousand
+    impacts more; then there is no bound. The sum is zeta(1.1)."""
+    run = hy.simulate(Tiring(), {"x": 0.0, "v": 1.0}, (0.0, 11.5), rtol=1e-10)
+    assert run.zeno[0].t == pytest.approx(10.584448464950809, rel=1e-9)
+    assert run.zeno[0].t_error == math.inf
+
+
 class LateInflow(TwoTanks):
     """The inflow grows shortly before the tanks would have run down."""
 

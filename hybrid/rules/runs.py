@@ -286,7 +286,7 @@ def rests(
     plain = a.fields[field, PLAIN] != 0 and onto(a, field, end, limit, room, x)
     if not plain and proved == 0:
         return JUMP
-    keep_sides(a, now, room, t, left.after[place])
+    keep_sides(a, now, room, t, left.after[place], end, limit)
     added(now, left, guard, t, low)
     enlarged(now, left.after[place])
     now.ints[FLIGHTS] += 1

@@ -139,10 +139,12 @@ def side_at(noted: int, flights: int) -> int:
     return 1 if noted == flights else -1 if noted == -flights else 0
 
 
-def keep_sides(a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats) -> None:
+def keep_sides(
+    a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats, end: float, limit: Floats
+) -> None:
     """Note for the limit of a sum the side on which the guard of each edge is where it begins: the
-    state does not jump there, so a guard that is zero comes from that side. One that is urgent
-    fires at the limit, whatever was before."""
+    state does not jump there, so a guard that is zero comes from that side, and one that is on the
+    other, by rounding, fires. One that is urgent fires at the limit, whatever was before."""
     field, flights = now.ints[FIELD], now.ints[FLIGHTS]
     program, first = a.fields[field, FIELD_PROGRAM], a.fields[field, GUARDS]
     if afresh(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
@@ -153,6 +155,12 @@ def keep_sides(a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats) ->
             side = side_at(now.touched[own], flights)
             side = (1 if value > 0.0 else -1 if value < 0.0 else 0) if side == 0 else side
             now.touched[own] = side * (flights + 1)
+    if afresh(a.programs, program, 0, end, limit, room.still, room.aside, room.work) < 0:
+        return
+    for g in range(first, a.fields[field, GUARDS_END]):
+        own, value = a.guards[g, OWN], room.aside[row_of(a, program, field, g), 0]
+        if value * side_at(now.touched[own], flights + 1) < 0.0:
+            now.tied[own] = now.touched[own]
 
 
 def hidden_at(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float, rate: float) -> float:

@@ -146,7 +146,7 @@ def pass_sum(driver: Driver, tail: Tail, at_rest: StateVector | None = None) -> 
     held = (*tail.field.held, contact.name)
     after = (tail.field.mode, held) if contact.rests else None
     driver.wary = driver.plan.watchful is not None
-    _go_on_from(driver, tail, (contact.name,), tail.r, after, sides, at_rest)
+    _go_on_from(driver, tail, tail.field, (contact.name,), tail.r, after, sides, at_rest)
 
 
 def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> None:
@@ -164,7 +164,7 @@ def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> 
     after = _after(driver, found.edges, held)
     if after is not None and not np.isfinite(driver.closed(*after, found.x_inf)).all():
         after = None  # contacts that close on a body from both sides leave it no rest
-    _go_on_from(driver, found, found.edges, found.ratio, after, sides)
+    _go_on_from(driver, found, field, found.edges, found.ratio, after, sides)
 
 
 def _after(
@@ -187,6 +187,7 @@ def _after(
 def _go_on_from(
     driver: Driver,
     limit: Tail | CycleLimit,
+    field: Field,
     edges: tuple[str, ...],
     ratio: float,
     after: tuple[str, tuple[str, ...]] | None,
@@ -206,7 +207,7 @@ def _go_on_from(
     record.limit_point(point, limit)
     _require_apart(driver, limit.x_inf)
     driver.watch.reset()
-    driver.touched = sides
+    driver.touched, driver.tied = sides, _passed(driver, field, edges, limit.x_inf, sides)
     driver.cycles.forget()
     if rest is None:
         driver.status = Status.NO_REST if goes_on else Status.ZENO_STOPPED
@@ -227,6 +228,21 @@ def _sides(driver: Driver, field: Field, x: StateVector) -> dict[str, int]:
     guards = [guard for guard in field.guards if guard.kind == "edge" and not guard.urgent]
     sides = {guard.edge: int(np.sign(guard.value(t, state))) for guard in guards}
     return sides | {edge: side for edge, side in driver.touched.items() if edge in sides}
+
+
+def _passed(
+    driver: Driver,
+    field: Field,
+    edges: tuple[str, ...],
+    x_inf: StateVector,
+    sides: dict[str, int],
+) -> dict[str, int]:
+    """Of the edges beside those that accumulate those whose guards are, at the limit, on the other
+    side than where it begins to be passed: by rounding, and they fire."""
+    t, x = driver.t, x_inf.tolist()
+    others = (guard for guard in field.guards if guard.edge in sides and guard.edge not in edges)
+    over = {guard.edge for guard in others if guard.value(t, x) * sides[guard.edge] < 0}
+    return {edge: sides[edge] for edge in over}
 
 
 def _require_apart(driver: Driver, x: StateVector) -> None:

@@ -39,6 +39,10 @@ NUDGE = 8e-15
 #: fast that both need one step for each oscillation.
 SECOND_RUN_STEPS, STEPS_EACH, STEPS_MORE = 2000, 40, 2
 
+#: The most jumps of the second run for each of the first, and beyond them: it sums by tighter
+#: tolerances, of slow series more terms, and may never come to a sum that the first has found.
+JUMPS_EACH, JUMPS_MORE = 4, 1000
+
 #: A third run is made where the rounding of the time moves the states by more than this share of
 #: them; where no force acts briefly it moves them by a few roundings.
 TIME_BLUR = 1e-13
@@ -203,6 +207,7 @@ class _Again:
             closing=1e-2,
             patience=4,
             watchful=SECOND_RUN_STEPS + STEPS_EACH * made.jumps + STEPS_MORE * made.steps,
+            max_jumps=min(made.plan.max_jumps, JUMPS_EACH * made.jumps + JUMPS_MORE),
             trusted=alike is not None and not alike.cut,
             shaken=moved,
             zeno="rest" if made.plan.zeno == "raise" else made.plan.zeno,

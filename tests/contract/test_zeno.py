@@ -8,7 +8,7 @@ from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall
 
 from .. import systems
-from .ways import ACCURATE, COMPILED, SOLVERS, SOLVERS_AND_COMPILED
+from .ways import ACCURATE, COMPILED, SOLVERS, SOLVERS_AND_COMPILED, later
 
 WAYS = SOLVERS_AND_COMPILED
 
@@ -240,3 +240,54 @@ def test_impacts_are_simulated_one_by_one_where_that_is_asked(way):
     exact = np.sqrt(2 / 9.81) * (1 + 2 * np.cumsum(0.7 ** np.arange(10)) - 2)
     np.testing.assert_allclose(result.times, exact, rtol=1e-9)
     assert not result.zeno
+
+
+class Thrown(hy.Automaton):
+    """A box that slides until friction stops it, and bounces: each at its own time."""
+
+    x = hy.state()
+    u = hy.state()
+    y = hy.state()
+    v = hy.state()
+
+    friction: float = hy.parameter(0.2)
+    r: float = hy.parameter(0.7)
+
+    @hy.mode(initial=True)
+    def slips(self, t, s):
+        return s.u, -self.friction, s.v, -4.0
+
+    @hy.mode
+    def sticks(self, t, s):
+        return 0.0, 0.0, s.v, -4.0
+
+    floor = hy.contact(slips, gap=lambda self, t, s: s.y, restitution="r")
+    ground = hy.contact(sticks, gap=lambda self, t, s: s.y, restitution="r")
+
+    @hy.edge(slips, to=sticks, guard=lambda self, t, s: s.u)
+    def stop(self, t, s):
+        return s.replace(u=0.0)
+
+
+@pytest.mark.parametrize("way", ["taylor", *later("DOP853", "Dopri8", "RK45")], indirect=True)
+@pytest.mark.parametrize(
+    ("friction", "r", "height", "since"),
+    [
+        (0.2, 0.7, 0.5, 0.0),
+        (0.7344512408023016, 0.8769943161982721, 0.6485968750940875, 17.0),
+        (0.669437037911119, 0.3963912052650761, 2.659582906631892, 0.0),
+        (0.25762496605458246, 0.8976847140711768, 0.040554463530457135, 0.0),
+    ],
+)
+def test_an_edge_may_fire_next_to_a_limit(way, friction, r, height, since):
+    """Before it, at it or after it by roundings of the time: the box comes to rest all the same."""
+    lasts = np.sqrt(0.5 * height) * (1.0 + r) / (1.0 - r)
+    for away in (-120, -103, -93, -80, -67, -54, -40, -20, -8, -3, -1, 0, 1, 3, 8, 20, 54):
+        ends = lasts + away * np.spacing(since + lasts)
+        start = {"x": 0.0, "u": friction * ends, "y": height, "v": 0.0}
+        model = Thrown(friction=friction, r=r)
+        result = way.run(model, start, (since, since + 2.0 * lasts))
+        assert result.status == "reached_end"
+        assert result.mode == "sticks.rest(ground)"
+        assert result.final.x == pytest.approx(0.5 * friction * ends**2, rel=1e-7)
+        assert (result.final.u, result.final.y, result.final.v) == (0.0, 0.0, 0.0)
