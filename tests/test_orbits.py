@@ -481,6 +481,18 @@ def test_a_pendulum_that_hangs_still_has_the_period_of_the_shaking():
     assert np.prod(orbit.multipliers) == pytest.approx(math.exp(-0.04 * math.pi), abs=1e-9)
 
 
+def test_a_surface_may_be_crossed_either_way():
+    """Upwards and downwards it is the same orbit, its start on either side."""
+    surface, start = (lambda self, t, s: s.x - 0.5), {"x": 2.0, "v": 0.0}
+    for crossing in (hy.RISING, hy.FALLING):
+        orbit = hy.periodic_orbit(VanDerPol(), start, section=surface, crossing=crossing)
+        assert orbit.period == pytest.approx(6.66328685932313, abs=1e-11)
+    for call in (hy.periodic_orbit, hy.return_map):
+        given = (VanDerPol(), start) if call is hy.periodic_orbit else (VanDerPol(),)
+        with pytest.raises(hy.OptionError, match="crossing='up': give hy.RISING"):
+            call(*given, section=surface, crossing="up")
+
+
 def test_what_is_no_orbit():
     """A forced model without a period; a ball that comes to rest; an equilibrium."""
     with pytest.raises(hy.OptionError, match="depends on time: give period="):

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..automaton.base import COUNT_IN_RUN, require_model, require_no_discrete
+from ..automaton.markers import RISING, Crossing
 from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import Scene, scene_of
@@ -139,6 +140,7 @@ def periodic_orbit(
     settle: int = 0,
     t_max: float = 1000.0,
     tol: float = 1e-9,
+    crossing: Crossing = RISING,
     **options: Any,
 ) -> PeriodicOrbit:
     """Find a periodic orbit near a guess, stable or not, and describe it.
@@ -164,6 +166,8 @@ def periodic_orbit(
         the unit of time does not matter.
     tol : float
         The largest difference between the ends of the orbit, relative to its size.
+    crossing : RISING, FALLING or EITHER
+        The direction in which a surface given as ``section`` is crossed.
     options
         As for :func:`hybrid.simulate`; by default ``rtol=1e-12, atol=1e-13``.
 
@@ -216,9 +220,9 @@ def periodic_orbit(
     shooting = shooting_of(scene, options)(model, timed, tol, options)
     first = given(scene, guess, t, mode)
     if section is not None:
-        section_of(model, scene, section)
+        section_of(model, scene, section, crossing)
     _require_run(scene, first, options)
-    search = Search(shooting, section, period, t_max)
+    search = Search(shooting, section, period, t_max, crossing)
     orbit = _describe(shooting, search.find(first, settle))
     for sentence in orbit.grazing:
         warnings.warn(f"{scene.spec.model}: {sentence}", stacklevel=2)

@@ -7,7 +7,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..automaton.markers import RISING
+from ..automaton.markers import RISING, Crossing
 from ..errors import HybridError, OptionError, OrbitError
 from ..lowering import Scene
 from ..result import Trajectory
@@ -62,6 +62,7 @@ class Search:
     section: Any
     period: float | None
     t_max: float
+    crossing: Crossing = RISING
 
     def find(self, guess: Guess, settle: int) -> Shot:
         """A closed turn, found from the guess or from a later state of its run.
@@ -102,7 +103,8 @@ class Search:
             section = _plane(shooting, guess, self._entered(guess, mode))
         else:
             section = self.section
-        back = ReturnMap(shooting.model, section, mode, self.t_max, RISING, shooting.options)
+        way = RISING if self.section is None else self.crossing
+        back = ReturnMap(shooting.model, section, mode, self.t_max, way, shooting.options)
         if self.section is None:
             run = back.run(guess.x, guess.t, guess.history)
             return attrs.evolve(guess, period=run.t1 - run.t0)

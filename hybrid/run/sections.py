@@ -180,8 +180,12 @@ def section_of(model: Any, scene: Scene, section: Any, crossing: Crossing = RISI
     Raises
     ------
     OptionError
-        If it is none of these.
+        If it is none of these, or the direction of a crossing is none.
     """
+    if not isinstance(crossing, Crossing):
+        raise OptionError(
+            f"{scene.spec.model}: crossing={crossing!r}: give hy.RISING, hy.FALLING or hy.EITHER"
+        )
     if isinstance(section, str):
         known = _jumps(scene)
         if section not in known:
