@@ -489,7 +489,7 @@ def test_a_surface_may_be_crossed_either_way():
         assert orbit.period == pytest.approx(6.66328685932313, abs=1e-11)
     for call in (hy.periodic_orbit, hy.return_map):
         given = (VanDerPol(), start) if call is hy.periodic_orbit else (VanDerPol(),)
-        with pytest.raises(hy.OptionError, match="crossing='up': give hy.RISING"):
+        with pytest.raises(hy.OptionError, match=r"crossing='up': give hy.RISING"):
             call(*given, section=surface, crossing="up")
 
 

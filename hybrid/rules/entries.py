@@ -22,6 +22,7 @@ from .places import (
     ENTERED,
     FIELD,
     FIELD_PROGRAM,
+    FIRST_SUMMED,
     FLIGHTS,
     GUARD_POWER,
     GUARDS,
@@ -137,7 +138,8 @@ def start_of(
             return 0, ARMED
         series = used and own == now.ints[SERIES] and now.ints[IMPACT_COUNT] > 1
         if settles(a, now, room, guard, c, order, sign, size, rate, bend, series):
-            return order, RESTS
+            # impacts that rounding has brought to rest are an accumulation, which Python lists
+            return order, HARD if series and now.ints[IMPACT_COUNT] >= run[FIRST_SUMMED] else RESTS
         low = kind == CONTACT and order == 1 and drowns(c[1], 2.0 * c[2], reach)
         if kind == CONTACT and used:
             now.floats[PULL] = 2.0 * c[2]

@@ -92,6 +92,19 @@ def _settles(driver: Driver, contact: Contact, x: StateVector, v: float, field: 
     return True
 
 
+def settled(driver: Driver, field: Field, jumped: Jumped) -> None:
+    """Pass the limit of impacts that rounding has brought to rest: the contact is held where an arc
+    begins in a ``field`` in which it is not."""
+    contact, held = driver.watch.contact, set(driver.entry.field.held) - set(field.held)
+    long = driver.watch.count >= driver.plan.patience
+    if not (jumped.series and long and contact in held.intersection(jumped.vanishing)):
+        return
+    x, t = driver.entry.x, driver.t
+    error, edges = 64 * EPS * np.abs(x), (contact,)
+    found = CycleLimit(edges, 0.0, x, np.nan, 64 * EPS * abs(t), error, driver.watch.count)
+    pass_cycle(driver, found, x, field.mode)
+
+
 def _at_limit(driver: Driver, name: str, x_inf: StateVector, field: Field, drawn: bool) -> float:
     """The speed up to which impacts that have no sum are at their limit, but for rounding.
 

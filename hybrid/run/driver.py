@@ -30,6 +30,7 @@ from ..trajectory.log import Flights
 from ..trajectory.plan import Plan
 from ..trajectory.trajectory import Jump, Status
 from . import clocks, jumps, switch
+from .accumulations import settled
 from .arc import ArcFlow, Flown
 from .cycles import Cycles
 from .entry import STARTS_OFF, Entry, Jumped, describe, enter, extent, signs_at_end
@@ -345,6 +346,7 @@ class Driver:
             jumped, seen = attrs.evolve(jumped, held=entry.field.held), self.seen
         self.jumped = jumped
         self.entry = self._entered(entry.field.mode, entry.x, jumped, seen)
+        settled(self, entry.field, jumped)
 
     def flow_arc(self) -> None:
         """Flow an arc step by step and carry out the jump that ends it."""

@@ -55,6 +55,9 @@ LEFT_TO_LIMIT = 1e-3
 #: that only alternates in sign has a limit by acceleration, but none in truth.)
 NEARER = 0.5
 
+#: By how many times more than before the ratio of successive times left may change with a turn.
+PACE_CHANGE = 4.0
+
 #: Safety factor on the change between the last estimates.
 ESTIMATE_CAUTION = 8.0
 
@@ -153,8 +156,10 @@ def limit(
     near = remaining <= LEFT_TO_LIMIT * elapsed or (power and len(times) >= POWER_CYCLES)
     if not (remaining > 0 and settled and near and np.all(np.isfinite(now))):
         return None
-    off = np.abs(states - now[1:])
-    if np.any(off[-1] > NEARER * off.max(axis=0) + error[1:]):
+    off = np.abs(columns - now)
+    if not all(map(_keeps_pace, off.T, slack + error)):
+        return None
+    if np.any((off[-1] > NEARER * off.max(axis=0) + error)[1:]):
         return None
     ratio = 1.0 if power else float(durations[-1] / durations[-2])
     return CycleLimit(edges, remaining, now[1:], ratio, float(error[0]), error[1:], len(times))
@@ -175,6 +180,21 @@ def accelerated(
     for k in beside:
         now[k], error[k] = columns[-1, k], np.inf if np.ptp(columns[-FEW_TURNS:, k]) else 0.0
     return now, error, scale
+
+
+def _keeps_pace(left: Numbers, known: float) -> bool:
+    """Whether what is left to a limit has fallen all along as it began to: its ratios change ever
+    less, or as before. Where another law has begun, estimates may still be those of the old.
+
+    ``known``: how well what is left is known; less than that tells nothing.
+    """
+    left = left[: int(np.argmax(np.append(left, 0.0) <= known))]
+    changes, off = np.abs(np.diff(left[1:] / left[:-1])), known / left[1:-1]
+    if len(changes) < FEW_TURNS:
+        return True
+    late = max(1, len(changes) // 2)
+    so_far = np.maximum.accumulate(changes)[late - 1 : -1]
+    return bool(np.all(changes[late:] <= PACE_CHANGE * so_far + off[late:]))
 
 
 def _fast(durations: Numbers) -> int:
@@ -220,7 +240,7 @@ def _epsilon(sequence: Numbers) -> list[float]:
     before, now, estimates = np.zeros(len(sequence) + 1), sequence, [float(sequence[-1])]
     for column in range(1, len(sequence)):
         steps = np.diff(now)
-        if column % 2 and _rests(steps, sequence):
+        if column % 2 and _rests(steps[-2:], sequence):
             return [*estimates, *[float(now[-1])] * 2]
         before, now = now, before[1:-1] + 1.0 / steps
         if column % 2 == 0:
@@ -229,9 +249,9 @@ def _epsilon(sequence: Numbers) -> list[float]:
 
 
 def _rests(steps: Numbers, sequence: Numbers) -> bool:
-    """Whether the last steps are no more than the rounding of a sequence."""
+    """Whether steps are no more than the rounding of a sequence."""
     noise = CYCLE_ROUNDING * len(sequence) * np.max(np.abs(sequence))
-    return bool(np.max(np.abs(steps[-2:])) <= noise)
+    return bool(np.max(np.abs(steps)) <= noise)
 
 
 def _levin(sequence: Numbers) -> list[float]:
@@ -243,7 +263,7 @@ def _levin(sequence: Numbers) -> list[float]:
     """
     count = np.arange(1, len(sequence))
     terms = np.diff(sequence)
-    if _rests(terms, sequence):
+    if _rests(terms[-2:], sequence):
         return [float(sequence[-1])] * 3
     if np.any(terms == 0.0):  # it has not fallen all along
         return []
