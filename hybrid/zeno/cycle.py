@@ -2,7 +2,7 @@
 
 A cycle of several edges has no impact map that could be summed: two tanks filled in turn, a block
 that rocks from edge to edge, a contact that ceases to damp slow impacts. All that is known is the
-sequence of times and states at which the cycle closes. The limit of this sequence is found in three
+sequence of times and states at which the cycle closes. The limit of this sequence is found in four
 steps, each of which may reject it.
 
 1. *Raabe's test.* Let ``a_k`` be the durations of successive cycles. Then ``q_k = 1 / (a_{k-1}/a_k
@@ -13,7 +13,9 @@ steps, each of which may reject it.
   transformation (for power laws) give estimates from increasing numbers of terms. The change
   between the last estimates bounds the error. Weniger, *Nonlinear sequence transformations*,
   Computer Physics Reports 10 (1989).
-3. *The cause.* Shrinking gaps alone prove nothing. At the limit, the guard of each jump must be
+3. *The pace.* What is left to the limit must have fallen all along as it began to: a table of
+  estimates may not see that the last terms of a sequence follow another law.
+4. *The cause.* Shrinking gaps alone prove nothing. At the limit, the guard of each jump must be
   zero at the state after the previous jump, and the resets of a turn must lead back to its start;
   :mod:`hybrid.run.limits` checks this against the model.
 
