@@ -326,7 +326,8 @@ def test_what_holds_a_state_may_touch_zero_at_a_knot(
     start = {"x": 0.0, "v": 0.0} if model is Borne else {"v": 0.0}
     other = "weight" if model is Borne else "friction"
     times = since + np.array([0.0, 0.3, 0.9, 1.3, 2.0])
-    for forces in ([0, 1, 0, 1, 0], [0, 1, 1, 0.9, 1], [0.9, 1, 0.5, 1, 1], [0, 1, 1, 1, 1.5]):
+    touches = [0, 1, 0, 1, 0], [0, 1, 1, 0.9, 1], [0.9, 1, 0.5, 1, 1]
+    for forces in (*touches, [0, 1, 1, 1, 1.5], [0.2, 0.1, 0.7, 1, 1.5]):
         made = model(**{other: size}, force=(times, size * np.array(forces)))
         run = hy.simulate(made, start, (since, since + 1.9), solver=solver)
         ends = [jump for jump in run.jumps if jump.t > since]

@@ -136,13 +136,12 @@ def has_jumped(driver: Driver, guard: Guard, x: StateVector) -> bool:
 
 def _release(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
     field = driver.entry.field
-    overdue = carried or bool(driver.entry.at_once)  # the load is negative, not zero
     contact = released(guard.edge)
     driver.record.released(contact, driver.t)
     driver.watch.reset()
     add_jump(driver, guard.edge, x, x)
-    overdue = overdue or (driver.forgets and not _bears_nothing(driver, guard, x))
-    known = {contact: PULLED if overdue else RISES}
+    pulled = carried or (driver.forgets and not _bears_nothing(driver, guard, x))
+    known = {contact: PULLED if pulled else RISES}  # the load is negative, not zero
     if carried and opened(driver.scene, field.mode, contact, driver.t, x):
         known = {}
     held = tuple(name for name in field.held if name != contact)
