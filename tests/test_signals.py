@@ -336,6 +336,25 @@ def test_what_holds_a_state_may_touch_zero_at_a_knot(
         assert (run.final.v > 1e-3 * size) == lifted
 
 
+@pytest.mark.parametrize("looped", [True, *later(False)])
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("model", [Borne, Driven])
+def test_what_holds_a_state_may_be_less_than_zero_by_rounding_at_a_knot(
+    monkeypatch, model, solver, looped
+):
+    """It lets go there if it falls on, and holds if it rises again."""
+    if not looped:
+        without_loop(monkeypatch)
+    start = {"x": 0.0, "v": 0.0} if model is Borne else {"v": 0.0}
+    other = "weight" if model is Borne else "friction"
+    for most in (0.3, 0.1 + 0.2, np.nextafter(0.3, 0.0), 0.3 + 3e-16, 0.3 + 1e-15):
+        for last, speed in ((1.0, 0.35), (0.0, 0.0)):
+            made = model(**{other: 0.3}, force=([0.0, 1.0, 2.0], [0.0, most, last]))
+            run = hy.simulate(made, start, (0.0, 2.0), solver=solver)
+            assert run.final.v == pytest.approx(speed, abs=1e-7)
+            assert len([jump for jump in run.jumps if jump.t > 0.0]) == (speed > 0.0)
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_surface_that_jumps_over_the_state_is_crossed_at_the_knot(solver):
     """One that jumps away from a state that slides on it ends that, at the knot."""

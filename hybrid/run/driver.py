@@ -416,7 +416,7 @@ class Driver:
     def _waits(self, fired: Guard, flown: Flown) -> bool:
         """Whether what holds the state comes to zero just where windows of the past, or the piece
         of a signal, end (:func:`hybrid.rules.arcs.waits`)."""
-        t, rounded = self.horizon, TIE * np.spacing(abs(self.horizon))
+        t, rounded = self.horizon, GUARD_ROUNDING * np.spacing(abs(self.horizon))
         held = fired.kind in ("release", "leave") and not flown.carried
         if not held or t >= self.plan.t1 or self.record.now.until(t) - flown.length > rounded:
             return False

@@ -226,7 +226,7 @@ def signs_at_end(entry: Entry, t: float, x: StateVector, reach: float) -> dict[s
     """By edge, the sign of its guard at the end of a flight in which none has fired.
 
     A guard that is next to zero there, measured by the states seen, keeps the sign it had if it
-    would have fired on the way to the other.
+    would have fired on the way to the other; what holds the state has held it to the end.
     """
     state, signs, near = x.tolist(), {}, NEAR * reach
     for index, guard in enumerate(entry.field.guards):
@@ -234,6 +234,8 @@ def signs_at_end(entry: Entry, t: float, x: StateVector, reach: float) -> dict[s
         here = 1 if value > 0 else -1 if value < 0 else 0
         late = entry.signs and abs(value) <= near and (not here or fires(guard.crossing, here))
         signs[guard.edge] = entry.signs[index] if late else here
+        if guard.kind in ("release", "leave"):
+            signs[guard.edge] = -DIRECTIONS[guard.crossing]
     return signs
 
 
