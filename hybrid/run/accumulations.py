@@ -23,7 +23,7 @@ from ..zeno.cycle import CycleLimit
 from ..zeno.narrow import law_error, seen
 from ..zeno.others import apart
 from . import truncate
-from .entry import Jumped, expand
+from .entry import Entry, Jumped, expand
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 #: The length of a flight, relative to that of its series of impacts, from which on the series is at
 #: its limit: as many flights again as a double has digits for would not show in the time.
 LAST_FLIGHT = EPS * EPS
+
+#: The share of the force onto a contact that must be left at the limit of impacts which rounding
+#: has brought to rest: what is left of them then lasts at most twice as long as under that force.
+LASTING_PULL = 0.5
 
 #: The length of a flight, in roundings of the time, below which the steps of another solver do not
 #: show where in it the flow changes its formula.
@@ -82,26 +86,41 @@ def _settles(driver: Driver, contact: Contact, x: StateVector, v: float, field: 
     if drawn:
         error[spec.place(DRAWS)] = np.inf
     else:
-        loss = 1.0 - contact.law(t, x.tolist(), -v)
-        if not loss > LEAST_LOSS:  # they go on for ever
+        left = _remaining(driver, contact, x, v, field)
+        if left == np.inf:
             return False
-        pull = -field.guards[field.column(contact.name)].lie(t, x.tolist())[2]
-        left = 2.0 * v / (pull * loss)
     found = CycleLimit((contact.name,), 0.0, x_inf, np.nan, EPS * abs(t) + left, error, watch.count)
     pass_cycle(driver, found, x, field.mode)
     return True
 
 
-def settled(driver: Driver, field: Field, jumped: Jumped) -> None:
+def _remaining(driver: Driver, contact: Contact, x: StateVector, v: float, field: Field) -> float:
+    """How long impacts go on from a gap speed under the force that acts there; infinite if they
+    lose no speed, or nothing pulls."""
+    loss = 1.0 - contact.law(driver.t, x.tolist(), -v)
+    pull = -field.guards[field.column(contact.name)].lie(driver.t, x.tolist())[2]
+    return 2.0 * v / (pull * loss) if loss > LEAST_LOSS and pull > 0.0 else np.inf
+
+
+def settled(driver: Driver, before: Entry, jumped: Jumped) -> None:
     """Pass the limit of impacts that rounding has brought to rest: the contact is held where an arc
-    begins in a ``field`` in which it is not."""
-    contact, held = driver.watch.contact, set(driver.entry.field.held) - set(field.held)
+    begins that was to be flown without it. The force that pulls must last until the limit: where it
+    vanishes, flights may grow again."""
+    name, field, t = driver.watch.contact, before.field, driver.t
+    held = set(driver.entry.field.held) - set(field.held)
     long = driver.watch.count >= driver.plan.patience
-    if not (jumped.series and long and contact in held.intersection(jumped.vanishing)):
+    if name not in held.intersection(jumped.vanishing) or not (jumped.series and long):
         return
-    x, t = driver.entry.x, driver.t
-    error, edges = 64 * EPS * np.abs(x), (contact,)
-    found = CycleLimit(edges, 0.0, x, np.nan, 64 * EPS * abs(t), error, driver.watch.count)
+    gap, x = field.guards[field.column(name)], before.x
+    _, speed, force = gap.lie(t, x.tolist())
+    left = _remaining(driver, driver.scene.contact(name), x, max(speed, 0.0), field)
+    if left == np.inf:
+        return
+    later = x + left * np.array(field.rhs(t, x.tolist()))
+    if not gap.lie(t + left, later.tolist())[2] <= LASTING_PULL * force:
+        return
+    x, errors = driver.entry.x, (64 * EPS * abs(t) + left, 64 * EPS * np.abs(driver.entry.x))
+    found = CycleLimit((name,), 0.0, x, np.nan, *errors, driver.watch.count)
     pass_cycle(driver, found, x, field.mode)
 
 

@@ -346,7 +346,7 @@ class Driver:
             jumped, seen = attrs.evolve(jumped, held=entry.field.held), self.seen
         self.jumped = jumped
         self.entry = self._entered(entry.field.mode, entry.x, jumped, seen)
-        settled(self, entry.field, jumped)
+        settled(self, entry, jumped)
 
     def flow_arc(self) -> None:
         """Flow an arc step by step and carry out the jump that ends it."""
