@@ -56,7 +56,7 @@ def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: f
             return False
         if not _alone(field, turn, k, t, cycle, slack):
             return False
-        if fired.kind == "edge" and not _keeps_law(scene, field, fired, turn, k, t):
+        if not _keeps_law(scene, field, fired, turn, k, t):
             return False
         off = np.abs(_after(scene, fired, t, x) - turn.limits[k + 1])
         if np.any(off > slack + turn.slack(k + 1, rtol)):

@@ -365,3 +365,42 @@ def test_a_reset_that_changes_on_the_way_to_the_limit_is_not_extrapolated(solver
         assert abs(run.zeno[0].t - limit) < 1e-12
     elastic = hy.simulate(SlowTurn(p=p), start, t, max_jumps=1000, **SOLVERS[solver])
     assert len(elastic.zeno) == 0
+
+
+class Watched(hy.Automaton):
+    """A ball whose restitution is another for impacts slower than ``p``, counted at its apex."""
+
+    x = hy.state()
+    v = hy.state()
+    p = hy.parameter(1e-4)
+    r = hy.parameter(0.5)
+    below = hy.parameter(0.9)
+
+    @hy.mode
+    def fly(self, t, s):
+        return s.v, -2.0
+
+    impact = hy.contact(
+        fly,
+        gap=lambda self, t, s: s.x,
+        restitution=lambda self, t, s, u: jnp.where(jnp.abs(u) > self.p, self.r, self.below),
+    )
+
+    @hy.edge(fly, to=fly, guard=lambda self, t, s: s.v)
+    def apex(self, t, s):
+        return s
+
+
+@pytest.mark.parametrize("solver", ["taylor", "DOP853"])
+@pytest.mark.parametrize(("r", "below"), [(0.5, 0.9), (0.8, 0.5)])
+def test_a_restitution_that_changes_is_not_extrapolated_in_a_cycle_either(solver, r, below):
+    """An event beside the impacts makes a cycle of them; its contacts must keep their law, too."""
+    speeds = [1.0]
+    while speeds[-1] > 1e-18:
+        speeds.append((r if speeds[-1] > 1e-4 else below) * speeds[-1])
+    model, start = Watched(r=r, below=below), {"x": 0.0, "v": 1.0}
+    run = hy.simulate(model, start, (0.0, 1.5 * sum(speeds)), **SOLVERS[solver], rtol=1e-11)
+    assert len(run.zeno) == 1
+    assert run.mode == "fly.rest(impact)"
+    assert abs(run.zeno[0].t - sum(speeds)) <= run.zeno[0].t_error
+    assert solver != "taylor" or run.zeno[0].t_error <= 1e-11
