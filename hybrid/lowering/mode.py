@@ -336,7 +336,9 @@ class ModeGraph:
         """Sums of the absolute values of the terms of a guard and of its two Lie derivatives."""
         guard, moving = self.guard(name), [self.graph.const(1.0), *self.flow(held)]
         first = self.rate(guard, self.flow(held))
-        return [self.size(guard), self._terms(guard, moving), self._terms(first, moving)]
+        made = [self.size(rate) for rate in moving]  # rounding of a flow is that of its own terms
+        bend = self.graph.node("add", self._terms(first, moving), self._terms(first, made))
+        return [self.size(guard), self._terms(guard, moving), bend]
 
     def size(self, node: int) -> int:
         """The sum of the absolute values of a node's terms, a constant offset included."""

@@ -343,3 +343,46 @@ def test_a_body_is_not_released_where_its_flow_changes_at_the_turn_of_its_floor(
     result = way.run(Swept(height=height), start, (3.0, 40.0), rtol=1e-9)
     assert result.jumps == 0
     assert result.final.x == pytest.approx(height * np.sin(40.0), abs=EXACT)
+
+
+class Pair(hy.Automaton):
+    """Two bodies, each pressed onto its floor by a force that falls to zero at the same time."""
+
+    x = hy.state()
+    u = hy.state()
+    y = hy.state()
+    v = hy.state()
+    a = hy.parameter(1.0)
+    b = hy.parameter(1.0)
+    pace = hy.parameter(1.0)
+    since = hy.parameter(0.0)
+
+    @hy.mode(initial=True)
+    def free(self, t, s):
+        ease = self.pace * (t - self.since)
+        return s.u, -self.a + self.a * ease, s.v, -self.b + self.b * ease
+
+    one = hy.contact(free, gap=lambda self, t, s: s.x, restitution=0.0)
+    two = hy.contact(free, gap=lambda self, t, s: s.y, restitution=0.0)
+
+
+@simulated
+@pytest.mark.parametrize(
+    ("a", "b", "pace", "since"),
+    [
+        (0.64726896098382, 2.2568160239458006, 0.6955472517956489, -7.3),
+        (0.3, 2.9, 1.7, 100.0),
+        (1.1, 0.7, 0.9, 0.0),
+    ],
+)
+def test_two_bodies_whose_loads_end_together_both_leave(way, a, b, pace, since):
+    """At that time each load is rounding of the forces of which it is made: neither is held again
+    because of its sign."""
+    model = Pair(a=a, b=b, pace=pace, since=since)
+    span, free = (since, since + 3.0), 3.0 - 1.0 / pace
+    rest = {"x": 0.0, "u": 0.0, "y": 0.0, "v": 0.0}
+    result = way.run(model, rest, span, mode="free.rest(one, two)", rtol=1e-9)
+    if way.tells("edges"):
+        assert sorted(result.edges) == ["one.release", "two.release"]
+    for value, force in ((result.final.x, a), (result.final.y, b)):
+        assert value == pytest.approx(force * pace * free**3 / 6.0, rel=1e-8)
