@@ -141,6 +141,10 @@ class Turn:
         moved = np.ptp(np.array([seen.x for seen in self.first]), axis=0)
         return ZERO * moved + 10 * self.errors[k] + 10 * rtol * np.abs(self.limits[k])
 
+    def known(self, k: int) -> Numbers:
+        """How well the k-th limit is known."""
+        return 10 * self.errors[k] + 64 * EPS * np.abs(self.limits[k])
+
     def stays(self, rtol: float) -> bool:
         """Whether no reset moves the state at the limit."""
         slack, last = self.slack(-1, rtol), self.limits[-1]

@@ -483,9 +483,10 @@ class _Here:
 
     def stays(self, guard: Guard, jumped: Jumped) -> bool:
         """Whether a guard that stays zero never fires: the end of a window, the load of bodies that
-        fall together, what holds on a surface at its limit, an event at its limit."""
+        fall together, what holds on a surface at its limit, an event at its limit, or which has
+        happened there."""
         ends = guard.kind in ("release", "leave") or (
-            not guard.bounds and guard.edge in jumped.limit
+            not guard.bounds and guard.edge in (jumped.limit | jumped.spent)
         )
         return guard.kind == "window" or (ends and self.series is not None)
 

@@ -3,6 +3,7 @@ it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import attrs
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from ..trajectory.plan import Plan
     from .driver import Driver
 
+    Law = Callable[[float, StateVector], Numbers]
+
 #: Once so small a share of the longest flight is left, flights may rise by its square only, 1e-12
 #: of the state. Rounding then leaves the last flights an accuracy of 2e-4, and the limit one of
 #: ``DROWNED``. Later turns are known less well, so the limit is taken here, whatever the
@@ -33,16 +36,16 @@ DROWNING, DROWNED = 1e-6, EPS / 1e-6
 #: Points on the way to the limit at which the flow is sampled, and how linear it must be.
 SAMPLES, STRAIGHTNESS = 64, 1e-2
 
-#: How often the way to the limit is halved where a reset is sampled, from ``LATE_FROM`` times its
-#: length on; and by how many times more than on the way so far, and by what share of all, it may
+#: How often the way to the limit is halved where flow, guard and reset are sampled, from
+#: ``LATE_FROM`` times its length on; and by how many times more than on the way so far they may
 #: change with one halving.
-LATE_HALVINGS, LATE_FROM, LATE_CHANGE, NO_CHANGE = 60, 16.0, 4.0, 1e-3
+LATE_HALVINGS, LATE_FROM, LATE_CHANGE = 60, 16.0, 4.0
 
 #: Steps of the midpoint rule along the last flight of a jump.
 FLIGHT = 8
 
 
-def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: float) -> bool:
+def persists(scene: Scene, turn: Turn, t: float, found: CycleLimit, rtol: float) -> bool:
     """Whether the cause of a cycle is there at its limit.
 
     For each jump of a turn, at the limit of the state that the jump before leads to: its guard is
@@ -54,9 +57,9 @@ def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: f
         fired = next((guard for guard in field.guards if guard.edge == jump.edge), None)
         if fired is None or not _steady(field, turn.seen[k], t, x):
             return False
-        if not _alone(field, turn, k, t, cycle, slack):
+        if not _alone(field, turn, k, t, found.edges, slack):
             return False
-        if not _keeps_law(scene, field, fired, turn, k, t):
+        if not _keeps_law(scene, field, fired, turn, k, t, found.t_error):
             return False
         off = np.abs(_after(scene, fired, t, x) - turn.limits[k + 1])
         if np.any(off > slack + turn.slack(k + 1, rtol)):
@@ -64,27 +67,50 @@ def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: f
     return True
 
 
-def _keeps_law(scene: Scene, field: Field, guard: Guard, turn: Turn, k: int, t: float) -> bool:
-    """Whether a reset does at all states on the way to the limit what it has done so far.
+def _keeps_law(
+    scene: Scene, field: Field, guard: Guard, turn: Turn, k: int, t: float, t_error: float
+) -> bool:
+    """Whether flow, guard and reset do at all states on the way to the limit what they have done so
+    far.
 
-    Of what it makes of their distance to the limit, the change with a halving of that falls where
+    Of what each makes of their distance to the limit, the change with a halving of that falls where
     it follows a power of the distance. If it grows, as where another formula begins at some speed,
     the jumps seen so far do not tell of those that come.
     """
-    now, x, limit = turn.seen[k], turn.limits[k], turn.limits[k + 1]
+    now, x, limit, known = turn.seen[k], turn.limits[k], turn.limits[k + 1], turn.known(k)
     *_, (begin, *came), _ = _way(field, now, now.until(turn.seen[k + 1]), t, x)
-    shares = LATE_FROM * 0.5 ** np.arange(LATE_HALVINGS)[:, None]
-    states, times = x + shares * (np.array(came) - x), t + shares[:, 0] * (begin - t)
-    made = np.array(
-        [_after(scene, guard, s, y) for s, y in zip(times.tolist(), states, strict=True)]
+    way, share = np.array(came) - x, LATE_FROM * 0.5 ** np.arange(LATE_HALVINGS)[:, None]
+    points = list(zip((t + share[:, 0] * (begin - t)).tolist(), x + share * way, strict=True))
+    late = t + 10 * t_error + 64 * EPS * abs(t)
+
+    def flow(t: float, x: StateVector) -> Numbers:
+        return np.array(field.rhs(t, x.tolist()))
+
+    def value(t: float, x: StateVector) -> Numbers:
+        return np.array([guard.value(t, x.tolist())])
+
+    def reset(t: float, x: StateVector) -> Numbers:
+        return _after(scene, guard, t, x)
+
+    def unsure(law: Law, known: Numbers) -> Numbers:
+        return _moved(law, t, x, known) + np.abs(law(late, x) - law(t, x))
+
+    rates, values, made = (np.array([law(s, y) for s, y in points]) for law in (flow, value, reset))
+    sure = np.all((share * np.abs(way) > known) | (np.abs(way) <= known), axis=1, keepdims=True)
+    noise = 64 * EPS * np.abs(rates).max(axis=0) + unsure(flow, 64 * EPS * np.abs(x))
+    return (
+        _follows(rates, np.where(sure, noise, np.inf))
+        and _follows(values / share, unsure(value, known) / share)
+        and _follows((made - limit) / share, (turn.known(k + 1) + unsure(reset, known)) / share)
     )
-    laws = (made - limit) / shares
+
+
+def _follows(laws: Matrix, off: Matrix) -> bool:
+    """Whether what is made of a distance changes ever less as that is halved; ``off``: how well it
+    is known."""
     changes = np.abs(np.diff(laws, axis=0))
-    known = int(np.log2(LATE_FROM))
-    so_far = np.maximum.accumulate(changes, axis=0)[known - 1 : -1]
-    noise = 64 * EPS * (np.abs(limit) + np.abs(x)) + 10 * turn.errors[k + 1]
-    allowed = LATE_CHANGE * so_far + NO_CHANGE * np.abs(laws).max(axis=0)
-    return bool(np.all(changes[known:] <= allowed + noise / shares[known + 1 :]))
+    so_far = np.maximum.accumulate(changes, axis=0)[:-1]
+    return bool(np.all(changes[1:] <= LATE_CHANGE * so_far + off[2:]))
 
 
 def _alone(
@@ -93,13 +119,13 @@ def _alone(
     """Whether no guard outside the cycle is zero from the last flight before a jump to the
     limit."""
     now, jump, x, others = turn.seen[k], turn.seen[k + 1], turn.limits[k], []
-    known = 10 * turn.errors[k] + 64 * EPS * np.abs(x)
+    known = turn.known(k)
     for column, guard in enumerate(field.guards):
         here, before = guard.value(t, x.tolist()), guard.value(now.t, now.x.tolist())
         ours = guard.edge in cycle and abs(here) <= _allowed(guard, t, x, slack, turn.first)
         if not ours and (guard.edge == jump.edge or here * before <= 0):
             return False
-        if not ours and abs(here) > _moved(guard, t, x, known):
+        if not ours and abs(here) > _shifted(guard, t, x, known):
             others.append(column)
     way = _way(field, now, now.until(jump), t, x)
     return not others or t <= now.t or excluded(field, others, hull(way, BOX_MARGIN))
@@ -136,13 +162,18 @@ def _allowed(
     for seen in first:
         value, rate, _ = guard.lie(seen.t, seen.x.tolist())
         size = max(size, abs(value), abs(rate) * length)
-    return ZERO * size + _moved(guard, t, x, slack)
+    return ZERO * size + _shifted(guard, t, x, slack)
 
 
-def _moved(guard: Guard, t: float, x: StateVector, slack: StateVector) -> float:
+def _shifted(guard: Guard, t: float, x: StateVector, slack: StateVector) -> float:
     """How much a guard changes over the slack of a state."""
-    here = guard.value(t, x.tolist())
-    return sum(abs(guard.value(t, (x + step).tolist()) - here) for step in np.diag(slack))
+    return float(_moved(lambda t, x: np.array(guard.value(t, x.tolist())), t, x, slack))
+
+
+def _moved(law: Law, t: float, x: StateVector, slack: StateVector) -> Numbers:
+    """How much what a law gives changes over the slack of a state."""
+    given = np.array([law(t, x + step) for step in np.diag(slack)])
+    return np.sum(np.abs(given - law(t, x)), axis=0)  # type: ignore[no-any-return]
 
 
 def _after(scene: Scene, guard: Guard, t: float, x: StateVector) -> StateVector:
@@ -183,13 +214,13 @@ def pass_limit(driver: Driver, mode: str) -> bool:
         found = attrs.evolve(found, remaining=soon, t_error=found.t_error + over)
     if driver.scene.conditional.intersection(found.edges):  # which may fail before the limit
         return False
-    if not _tire(driver, found):
+    if not _tire(driver, found, turn):
         return False
     after = driver.scene.spec.mode_after(found.edges)
     if found.ratio == 0.0 and after is None:
         return False
     t = driver.record.now.after(found.remaining).t
-    if not persists(driver.scene, turn, t, found.edges, plan.rtol):
+    if not persists(driver.scene, turn, t, found, plan.rtol):
         return False
     if not turn.stays(plan.rtol):
         if cycles.seen.edge[-1] != (after.limit_of if after else found.edges)[-1]:
@@ -240,14 +271,23 @@ def _summed(scene: Scene, cycles: Cycles) -> bool:
     return scene.contact(last.edge).law(last.t, last.x.tolist(), -0.0) < 1.0 - 1e-12
 
 
-def _tire(driver: Driver, found: CycleLimit) -> bool:
-    """Whether each contact of a cycle damps slow impacts, too, down to rest."""
+def _tire(driver: Driver, found: CycleLimit, cycle: Turn) -> bool:
+    """Whether each contact of a cycle damps slow impacts, too, down to rest; or none at all, where
+    other jumps of the turn do."""
     scene, turn = driver.scene, driver.cycles.last(len(found.edges))
     for seen in turn:
         if scene.is_contact(seen.edge):
             guard = scene.field(seen.mode).guard(seen.edge)
             speed = abs(guard.lie(seen.t, seen.x.tolist())[1])
             contact, x = scene.contact(seen.edge), seen.x.tolist()
-            if not damps(contact, seen.t, x, speed, found.ratio):
+            elastic = all(_elastic(scene, past) for past in cycle.first if past.edge == seen.edge)
+            if not elastic and not damps(contact, seen.t, x, speed, found.ratio):
                 return False
     return True
+
+
+def _elastic(scene: Scene, seen: Seen) -> bool:
+    """Whether neither an impact seen nor those slower by far lose any speed."""
+    guard, x = scene.field(seen.mode).guard(seen.edge), seen.x.tolist()
+    law, speed = scene.contact(seen.edge).law, abs(guard.lie(seen.t, x)[1])
+    return law(seen.t, x, -speed) == law(seen.t, x, -0.0) == 1.0

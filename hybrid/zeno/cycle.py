@@ -13,8 +13,9 @@ steps, each of which may reject it.
   transformation (for power laws) give estimates from increasing numbers of terms. The change
   between the last estimates bounds the error. Weniger, *Nonlinear sequence transformations*,
   Computer Physics Reports 10 (1989).
-3. *The pace.* What is left to the limit must have fallen all along as it began to: a table of
-  estimates may not see that the last terms of a sequence follow another law.
+3. *The pace.* What is left to the limit, and what each turn changes, must have fallen all along as
+  they began to: a table of estimates may not see that the last terms of a sequence follow another
+  law.
 4. *The cause.* Shrinking gaps alone prove nothing. At the limit, the guard of each jump must be
   zero at the state after the previous jump, and the resets of a turn must lead back to its start;
   :mod:`hybrid.run.limits` checks this against the model.
@@ -158,8 +159,9 @@ def limit(
     near = remaining <= LEFT_TO_LIMIT * elapsed or (power and len(times) >= POWER_CYCLES)
     if not (remaining > 0 and settled and near and np.all(np.isfinite(now))):
         return None
-    off = np.abs(columns - now)
-    if not all(map(_keeps_pace, off.T, slack + error)):
+    off, steps = np.abs(columns - now), np.abs(np.diff(columns, axis=0))
+    rounding = CYCLE_ROUNDING * len(columns) * scale
+    if not all(map(_keeps_pace, [*off.T, *steps.T], [*error, *rounding])):
         return None
     if np.any((off[-1] > NEARER * off.max(axis=0) + error)[1:]):
         return None
@@ -185,16 +187,16 @@ def accelerated(
 
 
 def _keeps_pace(left: Numbers, known: float) -> bool:
-    """Whether what is left to a limit has fallen all along as it began to: its ratios change ever
-    less, or as before. Where another law has begun, estimates may still be those of the old.
+    """Whether numbers fall as they began to: their ratios change ever less, or as before. Where
+    another law has begun in the last turns, estimates may still be those of the old.
 
-    ``known``: how well what is left is known; less than that tells nothing.
+    ``known``: how well the numbers are known; less than that tells nothing.
     """
     left = left[: int(np.argmax(np.append(left, 0.0) <= known))]
     changes, off = np.abs(np.diff(left[1:] / left[:-1])), known / left[1:-1]
     if len(changes) < FEW_TURNS:
         return True
-    late = max(1, len(changes) // 2)
+    late = max(1, len(changes) // 2, len(changes) - LEAST_CYCLES)
     so_far = np.maximum.accumulate(changes)[late - 1 : -1]
     return bool(np.all(changes[late:] <= PACE_CHANGE * so_far + off[late:]))
 

@@ -404,3 +404,64 @@ def test_a_restitution_that_changes_is_not_extrapolated_in_a_cycle_either(solver
     assert run.mode == "fly.rest(impact)"
     assert abs(run.zeno[0].t - sum(speeds)) <= run.zeno[0].t_error
     assert solver != "taylor" or run.zeno[0].t_error <= 1e-11
+
+
+class Turning(hy.Automaton):
+    """A count-down begins anew with a share of its last length; below the length ``about``, one of
+    reset, guard and flow follows another law."""
+
+    left = hy.state()
+    length = hy.state()
+    about = hy.parameter(1e-6)
+    share = hy.parameter(0.5)
+    later = hy.parameter(0.5, doc="the share below it")
+    early = hy.parameter(0.0, doc="by what share of the length it ends too early there")
+    pace = hy.parameter(1.0, doc="its pace there")
+
+    @hy.mode(initial=True)
+    def runs(self, t, s):
+        return -jnp.where(s.length > self.about, 1.0, self.pace) + 0.0 * s.left, 0.0 * s.left
+
+    @hy.mode(limit_of=("again",))
+    def ends(self, t, s):
+        return 0.0 * s.left, 0.0 * s.left
+
+    def over(self, t, s):
+        return s.left - jnp.where(s.length > self.about, 0.0, self.early * s.length)
+
+    @hy.edge(runs, to=runs, guard=over)
+    def again(self, t, s):
+        length = s.length * jnp.where(s.length > self.about, self.share, self.later)
+        return length, length
+
+
+#: Changes of a law, from ones that a table of estimates takes for rounding to ones of some percent.
+CHANGES = [
+    {"share": 0.3, "later": 0.3002, "about": 1e-6},
+    {"share": 0.872, "later": 0.847, "about": 2.8e-9},
+    {"share": 0.824, "later": 0.824 * (1 - 1.2e-8), "about": 5e-4},
+    {"share": 0.5, "later": 0.5, "about": 1e-6, "early": 0.5},
+    {"share": 0.764, "later": 0.764, "about": 5e-4, "early": 0.055},
+    {"share": 0.91, "later": 0.91, "about": 8.7e-6, "early": 2.5e-5},
+    {"share": 0.27, "later": 0.27, "about": 2e-4, "pace": 1.00026},
+    {"share": 0.88, "later": 0.88, "about": 2e-8, "pace": 1.007},
+    {"share": 0.78, "later": 0.78, "about": 1e-6, "pace": 0.9973},
+]
+
+
+@pytest.mark.parametrize("solver", ["taylor", "DOP853"])
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_law_that_changes_a_little_is_not_extrapolated(solver, change):
+    """Reset, guard or flow: its limit is that of the law which holds there."""
+    law = {"early": 0.0, "pace": 1.0, **change}
+    lengths, flights = [1.0], []
+    while lengths[-1] > 1e-20:
+        late = lengths[-1] <= law["about"]
+        flights.append(lengths[-1] * ((1.0 - law["early"]) / law["pace"] if late else 1.0))
+        lengths.append(lengths[-1] * (law["later"] if late else law["share"]))
+    run = hy.simulate(
+        Turning(**law), {"left": 1.0, "length": 1.0}, (0.0, 40.0), **SOLVERS[solver], rtol=1e-9
+    )
+    (point,) = run.zeno
+    assert run.mode == "ends"
+    assert abs(point.t - math.fsum(flights)) <= point.t_error
