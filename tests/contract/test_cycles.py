@@ -724,3 +724,37 @@ def test_a_clock_that_rings_behind_the_limit_does_not_hide_it(way, period):
     (point,) = run.zeno
     assert abs(point.t - 20.0) < 1e-9
     assert run.final.rings == math.floor(20.0 / period - 1e-9)
+
+
+class Struck(hy.Automaton):
+    """A body on a floor, which keeps nothing of an impact, and one that falls onto it elastically:
+    each strike and the thud after it leave a share ``1 - 2 m / (m + 1)`` of the speed less."""
+
+    x = hy.state()
+    y = hy.state()
+    u = hy.state()
+    v = hy.state()
+    m = hy.parameter(3.0, doc="mass of the lower body; that of the upper one is 1")
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.u, s.v, -10.0, -10.0
+
+    def inverse(self, t, s):
+        return jnp.array([1.0 / self.m, 1.0])
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.0)
+    strike = hy.contact(
+        flight, gap=lambda self, t, s: s.y - s.x, restitution=1.0, inverse_mass=inverse
+    )
+
+
+@pytest.mark.parametrize("m", [3.0, 1.5])
+def test_an_elastic_contact_in_a_cycle_that_another_one_damps(way, m):
+    """The upper body keeps (m - 1)/(m + 1) of its speed with each turn."""
+    start = {"x": 0.0, "y": 1.0, "u": 0.0, "v": 0.0}
+    result = way.run(Struck(m=m), start, (0.0, 3.0), mode="flight.rest(floor)")
+    fall, left = math.sqrt(0.2), (m - 1.0) / (m + 1.0)
+    (point,) = result.zeno
+    assert abs(point.t - fall * (1.0 + 2.0 * left / (1.0 - left))) <= point.t_error < 1e-9
+    assert result.run.mode == "flight.rest(floor, strike)"
