@@ -548,6 +548,24 @@ def test_no_estimate_is_taken_for_better_than_it_is(kind):
     assert taken > 500
 
 
+@pytest.mark.parametrize("rtol", [1e-6, 1e-9, 1e-14])
+def test_a_sum_of_many_near_ratios_is_within_its_bound(rtol):
+    """Speeds that lose ``1 - r0 - r1 v^q`` of themselves, for small q: where estimates agree by
+    chance, those of one term less do not."""
+    draw = np.random.default_rng(8)
+    for _ in range(80):
+        r0, q = draw.uniform(0.1, 0.85), draw.choice([0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
+        r1, speeds = draw.uniform(-0.09, 0.95 - r0), [1.0]
+        while speeds[-1] > 1e-20:
+            speeds.append(speeds[-1] * (r0 + r1 * speeds[-1] ** q))
+        times, states = np.append(0.0, np.cumsum(speeds)), np.append(speeds, 0.0)[:, None]
+        looks = (limit(("a",), times[:k], states[:k], rtol, 0.0) for k in range(8, len(speeds), 2))
+        turns, found = next((k, found) for k, found in enumerate(looks) if found)
+        left = math.fsum(speeds[2 * turns + 7 :])
+        # times are sums, each off by its rounding
+        assert abs(found.remaining - left) <= found.t_error + 1e-15 * times[-1]
+
+
 @pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
 @pytest.mark.parametrize(
     ("w", "v2"),

@@ -11,7 +11,8 @@ steps, each of which may reject it.
   harmonic series is rejected.
 2. *Acceleration.* Wynn's epsilon algorithm (exact for sums of geometric sequences) and Levin's
   transformation (for power laws) give estimates from increasing numbers of terms. The change
-  between the last estimates bounds the error. Weniger, *Nonlinear sequence transformations*,
+  between the last estimates bounds the error, and that without the last term, or if all terms move
+  by their rounding. Weniger, *Nonlinear sequence transformations*,
   Computer Physics Reports 10 (1989).
 3. *The pace.* What is left to the limit, and what each turn changes, must have fallen all along as
   they began to: a table of estimates may not see that the last terms of a sequence follow another
@@ -66,6 +67,9 @@ ESTIMATE_CAUTION = 8.0
 
 #: Relative rounding of times and states.
 CYCLE_ROUNDING = 4e-16
+
+#: Signs that follow no pattern: those of the fractions of its multiples, less a half.
+GOLDEN = 0.618033988749895
 
 
 @attrs.frozen(eq=False)
@@ -151,13 +155,15 @@ def limit(
     if not growth < 1.0 / RAABE:
         return None
     power = growth > RAABE_GROWTH
-    columns = np.column_stack([times, states])
-    now, error, scale = accelerated(columns, power, [1 + i for i in beside])
+    columns, others = np.column_stack([times, states]), [1 + i for i in beside]
+    for closely in False, True:
+        now, error, scale = accelerated(columns, power, others, closely)
+        slack = max(rtol, 1e-13) * np.maximum(scale, scale[0]) + atol
+        if not np.all(np.delete(error <= slack, others)):
+            return None
     elapsed, remaining = float(durations.sum()), float(now[0] - times[-1])
-    slack = max(rtol, 1e-13) * np.maximum(scale, scale[0]) + atol
-    settled = np.all(np.delete(error <= slack, [1 + i for i in beside]))
     near = remaining <= LEFT_TO_LIMIT * elapsed or (power and len(times) >= POWER_CYCLES)
-    if not (remaining > 0 and settled and near and np.all(np.isfinite(now))):
+    if not (remaining > 0 and near and np.all(np.isfinite(now))):
         return None
     off, steps = np.abs(columns - now), np.abs(np.diff(columns, axis=0))
     rounding = CYCLE_ROUNDING * len(columns) * scale
@@ -170,15 +176,17 @@ def limit(
 
 
 def accelerated(
-    columns: Matrix, power: bool, beside: Sequence[int] = ()
+    columns: Matrix, power: bool, beside: Sequence[int] = (), closely: bool = True
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Limits of sequences (one per column), bounds on their errors, and their sizes.
 
     Columns in ``beside`` hold discrete variables on which nothing else depends. They keep their
-    last value, with infinite error if they still change.
+    last value, with infinite error if they still change. ``closely``: whether what estimates agree
+    on is tried on other sequences, too.
     """
+    estimate = _accelerated if closely else _estimate
     with np.errstate(all="ignore"):  # equal terms: a non-finite estimate is never the best
-        now, error = np.array([_accelerated(column, power) for column in columns.T]).T
+        now, error = np.array([estimate(column, power) for column in columns.T]).T
     scale, rounding = np.abs(now) + np.ptp(columns, axis=0), CYCLE_ROUNDING * len(columns)
     error += rounding * scale
     for k in beside:
@@ -215,7 +223,23 @@ def _raabe(durations: Numbers) -> float:
 
 
 def _accelerated(sequence: Numbers, power: bool) -> tuple[float, float]:
-    """The limit of a sequence, and a bound on its error."""
+    """The limit of a sequence, and a bound on its error.
+
+    Estimates may agree by chance. The bound is also that of what becomes of them without the last
+    term, and if the terms move by their rounding, which estimates amplify.
+    """
+    now, error = _estimate(sequence, power)
+    if len(sequence) <= LEAST_CYCLES + 1:
+        return now, error
+    signs = np.where(np.arange(len(sequence)) * GOLDEN % 1.0 < 0.5, 0.5, -0.5)
+    moved = sequence + signs * np.spacing(np.abs(sequence).max())
+    shorter, _ = _estimate(sequence[:-1], power)
+    other, _ = _estimate(moved, power)
+    return now, max(error, abs(now - shorter), ESTIMATE_CAUTION * abs(now - other))
+
+
+def _estimate(sequence: Numbers, power: bool) -> tuple[float, float]:
+    """The limit of a sequence, and how well the last estimates of it agree."""
     if len(sequence) <= LEAST_CYCLES:
         before, now = _aitken(sequence[:-1]), _aitken(sequence)
         return now, ESTIMATE_CAUTION * abs(now - before)
