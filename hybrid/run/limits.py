@@ -86,21 +86,20 @@ def _keeps_law(
     def flow(t: float, x: StateVector) -> Numbers:
         return np.array(field.rhs(t, x.tolist()))
 
-    def value(t: float, x: StateVector) -> Numbers:
-        return np.array([guard.value(t, x.tolist())])
-
     def reset(t: float, x: StateVector) -> Numbers:
         return _after(scene, guard, t, x)
 
     def unsure(law: Law, known: Numbers) -> Numbers:
         return _moved(law, t, x, known) + np.abs(law(late, x) - law(t, x))
 
-    rates, values, made = (np.array([law(s, y) for s, y in points]) for law in (flow, value, reset))
+    rates, values, made = (
+        np.array([law(s, y) for s, y in points]) for law in (flow, _value(guard), reset)
+    )
     sure = np.all((share * np.abs(way) > known) | (np.abs(way) <= known), axis=1, keepdims=True)
     noise = 64 * EPS * np.abs(rates).max(axis=0) + unsure(flow, 64 * EPS * np.abs(x))
     return (
         _follows(rates, np.where(sure, noise, np.inf))
-        and _follows(values / share, unsure(value, known) / share)
+        and _follows(values / share, unsure(_value(guard), known) / share)
         and _follows((made - limit) / share, (turn.known(k + 1) + unsure(reset, known)) / share)
     )
 
@@ -167,7 +166,12 @@ def _allowed(
 
 def _shifted(guard: Guard, t: float, x: StateVector, slack: StateVector) -> float:
     """How much a guard changes over the slack of a state."""
-    return float(_moved(lambda t, x: np.array(guard.value(t, x.tolist())), t, x, slack))
+    (moved,) = _moved(_value(guard), t, x, slack)
+    return float(moved)
+
+
+def _value(guard: Guard) -> Law:
+    return lambda t, x: np.array([guard.value(t, x.tolist())])
 
 
 def _moved(law: Law, t: float, x: StateVector, slack: StateVector) -> Numbers:
