@@ -166,9 +166,10 @@ def limit(
     if not (remaining > 0 and near and np.all(np.isfinite(now))):
         return None
     off, steps = np.abs(columns - now), np.abs(np.diff(columns, axis=0))
-    rounding = CYCLE_ROUNDING * len(columns) * scale
-    if not all(map(_keeps_pace, [*off.T, *steps.T], [*error, *rounding])):
-        return None
+    known = CYCLE_ROUNDING * len(columns) * scale
+    for k in np.setdiff1d(np.arange(len(now)), others):
+        if not (_keeps_pace(off[:, k], error[k]) and _keeps_pace(steps[:, k], known[k])):
+            return None
     if np.any((off[-1] > NEARER * off.max(axis=0) + error)[1:]):
         return None
     ratio = 1.0 if power else float(durations[-1] / durations[-2])
