@@ -223,6 +223,23 @@ def test_a_limit_is_not_summed_over_a_knot(solver):
         assert (run.zeno[0].t < knot) == (knot > limit)
 
 
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize(
+    ("height", "r", "knot"),
+    [(10.0, 0.3, 1e-6), (1.0, 0.8, 1e-6), (1.0, 0.7, 2.2e-6), (100.0, 0.3, 6e-6), (1.0, 0.5, 1e-5)],
+)
+def test_a_limit_behind_a_knot_is_known_to_the_rounding_there(solver, height, r, knot):
+    """Shortly before the limit of a ball on a shelf a knot changes nothing, but for the height: low
+    flights are known by their gap, and behind a knot by the rounding of the position."""
+    fall = np.sqrt(0.2)
+    limit = fall * (1.0 + r) / (1.0 - r)
+    model = road()(r=r, floor=([0.0, limit - knot, 50.0], [height] * 3))
+    run = hy.simulate(model, {"x": 1.0 + height, "v": 0.0}, (0.0, 9.0), solver=solver, rtol=1e-12)
+    (point,) = run.zeno
+    assert abs(point.t - limit) <= point.t_error <= 1e-6
+    assert point.enclosure is None or point.enclosure[0] <= limit <= point.enclosure[1]
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_gap_must_not_jump_below_zero(solver):
     """A floor that jumps up through the bead is an error that names it; one that falls is none."""

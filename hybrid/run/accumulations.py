@@ -232,7 +232,7 @@ def _go_on_from(
     state = driver.scene.spec.record(limit.x_inf)
     point = Accumulation(driver.t, state, ratio, edges, "estimated", rest, record.j)
     if isinstance(limit, Tail):
-        point._proofs, point._since = limit.prove, driver.cycles.first_of(limit.contact.name)
+        point._proofs, point._since = limit.prove, _since(driver, limit)
     else:
         named = ((edge, driver.scene.spec.record(x)) for edge, x in limit.limits)
         point.limits = tuple(named)
@@ -250,6 +250,12 @@ def _go_on_from(
         driver.seen = np.maximum(driver.seen, np.abs(limit.x_inf))
     elif after:
         driver.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))
+
+
+def _since(driver: Driver, tail: Tail) -> float:
+    """The first impact of a series, or the last knot before its sum: there gaps are rounded."""
+    first, model = driver.cycles.first_of(tail.contact.name), driver.model
+    return max(first, model.span(tail.t)[0]) if model.samples else first
 
 
 def _sides(driver: Driver, field: Field, x: StateVector) -> dict[str, int]:
