@@ -240,6 +240,22 @@ def test_a_limit_behind_a_knot_is_known_to_the_rounding_there(solver, height, r,
     assert point.enclosure is None or point.enclosure[0] <= limit <= point.enclosure[1]
 
 
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("r", [0.3, 0.8])
+def test_impacts_that_a_knot_brings_to_rest_are_listed(solver, r):
+    """The flight that a knot interrupts may be lower than the rounding of the position."""
+    limit = np.sqrt(0.2) * (1.0 + r) / (1.0 - r)
+    for before in (1e-9, 1e-10, 1e-12, 0.0, -1e-13):
+        knot = limit - before
+        model = road()(
+            r=r, floor=([0.0, knot, knot + 9.0], 0.3 + 0.5 * np.array([0, knot, knot + 9]))
+        )
+        run = hy.simulate(model, {"x": 1.3, "v": 0.5}, (0.0, 6.0), solver=solver, rtol=1e-12)
+        (point,) = run.zeno
+        assert abs(point.t - limit) <= point.t_error <= 1e-6, before
+        assert run.mode == "flight.rest(impact)"
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_gap_must_not_jump_below_zero(solver):
     """A floor that jumps up through the bead is an error that names it; one that falls is none."""

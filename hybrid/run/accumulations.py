@@ -9,7 +9,7 @@ import numpy as np
 from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
 from ..lowering import Contact, Field
-from ..rules.entries import LIMIT_SPEED
+from ..rules.entries import LIMIT_SPEED, POSITION_ROUNDING
 from ..rules.guards import GUARD_ROUNDING
 from ..rules.sums import LEAST_LOSS
 from ..rules.zeros import EPS
@@ -23,7 +23,7 @@ from ..zeno.cycle import CycleLimit
 from ..zeno.narrow import law_error, seen
 from ..zeno.others import apart
 from . import truncate
-from .entry import Entry, Jumped, expand
+from .entry import Jumped, expand
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -102,18 +102,21 @@ def _remaining(driver: Driver, contact: Contact, x: StateVector, v: float, field
     return 2.0 * v / (pull * loss) if loss > LEAST_LOSS and pull > 0.0 else np.inf
 
 
-def settled(driver: Driver, before: Entry, jumped: Jumped) -> None:
+def settled(driver: Driver, field: Field, x: StateVector, jumped: Jumped) -> None:
     """Pass the limit of impacts that rounding has brought to rest: the contact is held where an arc
-    begins that was to be flown without it. The force that pulls must last until the limit: where it
-    vanishes, flights may grow again."""
-    name, field, t = driver.watch.contact, before.field, driver.t
+    begins, after an impact or at a knot, that was to be flown in a ``field`` without it. The force
+    that pulls must last until the limit: where it vanishes, flights may grow again."""
+    name, t = driver.watch.contact, driver.t
     held = set(driver.entry.field.held) - set(field.held)
-    long = driver.watch.count >= driver.plan.patience
-    if name not in held.intersection(jumped.vanishing) or not (jumped.series and long):
+    goes_on = jumped.passing is not None or (jumped.series and name in jumped.vanishing)
+    if name not in held or not (goes_on and driver.watch.count >= driver.plan.patience):
         return
-    gap, x = field.guards[field.column(name)], before.x
-    _, speed, force = gap.lie(t, x.tolist())
-    left = _remaining(driver, driver.scene.contact(name), x, max(speed, 0.0), field)
+    gap = field.guards[field.column(name)]
+    height, speed, force = gap.lie(t, x.tolist())
+    if jumped.passing is not None:  # within a flight
+        rounding = POSITION_ROUNDING * EPS * driver.scene.rounding(gap, field)(t, x.tolist())[0]
+        speed = np.sqrt(speed * speed + 2.0 * (abs(height) + rounding) * max(-force, 0.0))
+    left = _remaining(driver, driver.scene.contact(name), x, max(float(speed), 0.0), field)
     if left == np.inf:
         return
     later = x + left * np.array(field.rhs(t, x.tolist()))

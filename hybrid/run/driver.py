@@ -169,6 +169,8 @@ class Driver:
             else:
                 self.entry = self._entered(mode, x, jumped, self.seen)
                 self.jumped = jumped
+                if jumped.passing is not None:
+                    settled(self, field, x, jumped)
             self.seen = np.maximum(self.seen, np.abs(x))
 
     def _lean(self, jumped: Jumped) -> bool:
@@ -346,7 +348,7 @@ class Driver:
             jumped, seen = attrs.evolve(jumped, held=entry.field.held), self.seen
         self.jumped = jumped
         self.entry = self._entered(entry.field.mode, entry.x, jumped, seen)
-        settled(self, entry, jumped)
+        settled(self, entry.field, entry.x, jumped)
 
     def flow_arc(self) -> None:
         """Flow an arc step by step and carry out the jump that ends it."""
