@@ -79,10 +79,13 @@ def sizes(g, f):
         return jnp.abs(by_t) * rates[0] + jnp.abs(by_x) @ rates[1]
 
     def made(p, t, x):
-        moving, here = (1.0, jnp.abs(f(p, t, x))), (jnp.abs(t), jnp.abs(x))
+        moving, here, first = (1.0, jnp.abs(f(p, t, x))), (jnp.abs(t), jnp.abs(x)), lie(g, f)
         offset = jnp.abs(g(p, t, jnp.zeros_like(x)))
         own = terms(g, here, p, t, x) + jnp.where(jnp.isfinite(offset), offset, 0.0)
-        return jnp.stack([own, terms(g, moving, p, t, x), terms(lie(g, f), moving, p, t, x)])
+        rows = [lambda *at, i=i: f(*at)[i] for i in range(len(x))]
+        flows = (0.0, jnp.stack([terms(row, here, p, t, x) for row in rows]))
+        bend = terms(first, moving, p, t, x) + terms(first, flows, p, t, x)
+        return jnp.stack([own, terms(g, moving, p, t, x), bend])
 
     return made
 

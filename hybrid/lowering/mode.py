@@ -336,9 +336,10 @@ class ModeGraph:
         """Sums of the absolute values of the terms of a guard and of its two Lie derivatives."""
         guard, moving = self.guard(name), [self.graph.const(1.0), *self.flow(held)]
         first = self.rate(guard, self.flow(held))
-        slopes, zero = gradient(self.graph, first, [self.t, *self.x]), self.graph.const(0.0)
+        inputs, zero = [self.t, *self.x], self.graph.const(0.0)
+        slopes = zip(gradient(self.graph, first, inputs), moving, strict=True)
         # the rounding of a flow is that of its own terms
-        made = [zero if a == zero else self.size(b) for a, b in zip(slopes, moving, strict=True)]
+        made = [zero if slope == zero else self._terms(rate, inputs) for slope, rate in slopes]
         bend = self.graph.node("add", self._terms(first, moving), self._terms(first, made))
         return [self.size(guard), self._terms(guard, moving), bend]
 

@@ -192,7 +192,11 @@ class Driver:
         except StartError as fault:
             counts = self.cycles.counts() if fault.status == "undecided" else []
             if not counts:
-                raise
+                if fault.status != "undecided" or self.spent <= jumped.limit:
+                    raise
+                # what has happened at this time, and stays zero, does not happen again
+                jumped = attrs.evolve(jumped, limit=jumped.limit | self.spent)
+                return enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
             names = ", ".join(self.scene.spec.element_names[i] for i in counts)
             raise JumpLoopError(
                 f"{str(fault).removesuffix(STARTS_OFF)}; it has been so again and again, ever "

@@ -483,10 +483,9 @@ class _Here:
 
     def stays(self, guard: Guard, jumped: Jumped) -> bool:
         """Whether a guard that stays zero never fires: the end of a window, the load of bodies that
-        fall together, what holds on a surface at its limit, an event at its limit, or which has
-        happened there."""
+        fall together, what holds on a surface at its limit, an event at its limit."""
         ends = guard.kind in ("release", "leave") or (
-            not guard.bounds and guard.edge in (jumped.limit | jumped.spent)
+            not guard.bounds and guard.edge in jumped.limit
         )
         return guard.kind == "window" or (ends and self.series is not None)
 
