@@ -50,7 +50,8 @@ def persists(scene: Scene, turn: Turn, t: float, found: CycleLimit, rtol: float)
 
     For each jump of a turn, at the limit of the state that the jump before leads to: its guard is
     zero, its reset leads to the limit after it, no other guard of the mode has changed sign on the
-    way or may be zero there, and the flow varies there no more than linearly.
+    way or may be zero there, the flow varies there no more than linearly, and flow, guard and reset
+    keep their laws.
     """
     for k, jump in enumerate(turn.seen[1:]):
         field, x, slack = scene.field(jump.mode), turn.limits[k], turn.slack(k, rtol)

@@ -728,7 +728,7 @@ def test_a_clock_that_rings_behind_the_limit_does_not_hide_it(way, period):
 
 class Struck(hy.Automaton):
     """A body on a floor, which keeps nothing of an impact, and one that falls onto it elastically:
-    each strike and the thud after it leave a share ``1 - 2 m / (m + 1)`` of the speed less."""
+    a strike and the thud after it leave a share ``(m - 1) / (m + 1)`` of the speed."""
 
     x = hy.state()
     y = hy.state()
