@@ -7,6 +7,7 @@ from functools import cache
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.special import zeta
 
 import hybrid as hy
 from hybrid.run import cycles
@@ -191,6 +192,55 @@ def test_gaps_that_fall_like_the_square_accumulate(solver, reference):
     assert run.mode == "flight.rest(impact)"
     assert "gaps that fall like a power" in run.explain()
     assert "found by sequence acceleration" in run.explain()
+
+
+class Undefined(hy.Automaton):
+    """Speeds 1, 1/2^p, 1/3^p, ...: a law that has no value for a body that leaves the floor."""
+
+    x = hy.state()
+    v = hy.state()
+    p: float = hy.parameter(2.0, positive=True)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0
+
+    impact = hy.contact(
+        flight,
+        gap=lambda self, t, s: s.x,
+        restitution=lambda self, t, s, u: (1.0 + (-u) ** (1.0 / self.p)) ** -self.p,
+    )
+
+
+class UndefinedEdge(hy.Automaton):
+    """The same law, in the reset of an edge."""
+
+    x = hy.state()
+    v = hy.state()
+    p: float = hy.parameter(2.0, positive=True)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -2.0
+
+    @hy.mode(limit_of="strike")
+    def rests(self, t, s):
+        return 0.0, 0.0
+
+    @hy.edge(flight, to=flight, guard=lambda self, t, s: s.x)
+    def strike(self, t, s):
+        return s.replace(x=0.0, v=-s.v * (1.0 + (-s.v) ** (1.0 / self.p)) ** -self.p)
+
+
+@SOLVERS
+@pytest.mark.parametrize("model", [Undefined, UndefinedEdge])
+@pytest.mark.parametrize("p", [1.5, 2.0, 3.0])
+def test_a_law_may_have_no_value_beyond_the_limit(model, p, solver):
+    """The speed at the limit is found up to rounding, which may have either sign."""
+    run = hy.simulate(model(p=p), {"x": 0.0, "v": 1.0}, (0.0, 3.0), rtol=1e-10, solver=solver)
+    (point,) = run.zeno
+    assert abs(point.t - zeta(p)) <= point.t_error < 1e-9
+    assert len(run.jumps) < 100
 
 
 @pytest.mark.parametrize("w", [2.0, 2.1])

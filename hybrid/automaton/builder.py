@@ -183,7 +183,7 @@ class Builder:
                 f"mode {marker.name}: limit_of={marker.limit_of!r}: {unknown[0]!r} is no edge; "
                 f"there are: {known}"
             )
-        return ModeSpec(marker.name, marker.flow, tuple(marker.limit_of))
+        return ModeSpec(marker.name, marker.flow, marker.limit_of)
 
     def output(self, marker: Output) -> OutputSpec:
         self.signature(f"output {marker.name}", marker.function, ("t", "s"))

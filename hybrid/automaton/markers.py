@@ -214,7 +214,7 @@ def mode(
     flow: Callable[..., Any] | None = None,
     *,
     initial: bool = False,
-    limit_of: tuple[str, ...] = (),
+    limit_of: str | tuple[str, ...] = (),
 ) -> Any:
     """Declare a mode: ``@hy.mode`` or ``@hy.mode(initial=True)`` over its flow.
 
@@ -222,8 +222,9 @@ def mode(
     ----------
     initial : bool
         Whether runs begin in this mode. Needed for one mode if there are several.
-    limit_of : tuple of str
-        Names of the edges of a cycle. Where jumps of this cycle accumulate, this mode follows.
+    limit_of : str or tuple of str
+        Names of the edges of a cycle, or of its only one. Where jumps of this cycle accumulate,
+        this mode follows.
 
     Raises
     ------
@@ -237,9 +238,10 @@ def mode(
     derivatives of the states: a tuple in declared order, a record ``s.replace(...)``, or a dict by
     name. It is written with ``jax.numpy``, and read once, when the class is defined.
     """
+    cycle = (limit_of,) if isinstance(limit_of, str) else tuple(limit_of)
     if flow is None:
-        return lambda function: Mode(function, initial, limit_of)
-    return Mode(flow, initial, limit_of)
+        return lambda function: Mode(function, initial, cycle)
+    return Mode(flow, initial, cycle)
 
 
 def edge(

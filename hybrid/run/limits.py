@@ -84,24 +84,32 @@ def _keeps_law(
     points = list(zip((t + share[:, 0] * (begin - t)).tolist(), x + share * way, strict=True))
     late = t + 10 * t_error + 64 * EPS * abs(t)
 
+    sure = np.all((share * np.abs(way) > known) | (np.abs(way) <= known), axis=1)
+
     def flow(t: float, x: StateVector) -> Numbers:
         return np.array(field.rhs(t, x.tolist()))
 
     def reset(t: float, x: StateVector) -> Numbers:
         return _after(scene, guard, t, x)
 
-    def unsure(law: Law, known: Numbers) -> Numbers:
-        return _moved(law, t, x, known) + np.abs(law(late, x) - law(t, x))
+    def sampled(law: Law, known: Numbers) -> tuple[Matrix, Numbers]:
+        """What a law gives on the way, and how well that is known at the limit. The law may be
+        undefined on the far side of the limit: there what it gave last is repeated."""
+        given = np.array([law(s, y) for s, y in points])
+        end = int(np.argmin(np.append(np.isfinite(given).all(axis=1), False)))
+        if end and not sure[end:].any():
+            given[end:] = given[end - 1]
+        s, y = points[max(end - 1, 0)]
+        return given, _moved(law, s, y, known) + np.abs(law(late, y) - law(s, y))
 
-    rates, values, made = (
-        np.array([law(s, y) for s, y in points]) for law in (flow, _value(guard), reset)
-    )
-    sure = np.all((share * np.abs(way) > known) | (np.abs(way) <= known), axis=1, keepdims=True)
-    noise = 64 * EPS * np.abs(rates).max(axis=0) + unsure(flow, 64 * EPS * np.abs(x))
+    rates, drift = sampled(flow, 64 * EPS * np.abs(x))
+    values, shift = sampled(_value(guard), known)
+    made, change = sampled(reset, known)
+    noise = 64 * EPS * np.abs(rates).max(axis=0) + drift
     return (
-        _follows(rates, np.where(sure, noise, np.inf))
-        and _follows(values / share, unsure(_value(guard), known) / share)
-        and _follows((made - limit) / share, (turn.known(k + 1) + unsure(reset, known)) / share)
+        _follows(rates, np.where(sure[:, None], noise, np.inf))
+        and _follows(values / share, shift / share)
+        and _follows((made - limit) / share, (turn.known(k + 1) + change) / share)
     )
 
 
@@ -176,9 +184,11 @@ def _value(guard: Guard) -> Law:
 
 
 def _moved(law: Law, t: float, x: StateVector, slack: StateVector) -> Numbers:
-    """How much what a law gives changes over the slack of a state."""
-    given = np.array([law(t, x + step) for step in np.diag(slack)])
-    return np.sum(np.abs(given - law(t, x)), axis=0)  # type: ignore[no-any-return]
+    """How much what a law gives changes over the slack of a state, on the side where it changes
+    more; it may be undefined on the other."""
+    steps, here = np.diag(slack), law(t, x)
+    change = [[np.abs(law(t, x + side) - here) for side in (step, -step)] for step in steps]
+    return np.sum(np.fmax.reduce(change, axis=1), axis=0)  # type: ignore[no-any-return]
 
 
 def _after(scene: Scene, guard: Guard, t: float, x: StateVector) -> StateVector:

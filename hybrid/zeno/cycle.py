@@ -229,29 +229,37 @@ def _accelerated(sequence: Numbers, power: bool) -> tuple[float, float]:
     Estimates may agree by chance. The bound is also that of what becomes of them without the last
     term, and if the terms move by their rounding, which estimates amplify.
     """
-    now, error = _estimate(sequence, power)
     if len(sequence) <= LEAST_CYCLES + 1:
-        return now, error
+        return _estimate(sequence, power)
     signs = np.where(np.arange(len(sequence)) * GOLDEN % 1.0 < 0.5, 0.5, -0.5)
     moved = sequence + signs * np.spacing(np.abs(sequence).max())
-    shorter, _ = _estimate(sequence[:-1], power)
-    other, _ = _estimate(moved, power)
-    return now, max(error, abs(now - shorter), ESTIMATE_CAUTION * abs(now - other))
+    now, error = _estimate(sequence, power, moved)
+    shorter, _ = _estimate(sequence[:-1], power, moved[:-1])
+    return now, max(error, abs(now - shorter))
 
 
-def _estimate(sequence: Numbers, power: bool) -> tuple[float, float]:
-    """The limit of a sequence, and how well the last estimates of it agree."""
+def _estimate(sequence: Numbers, power: bool, moved: Numbers | None = None) -> tuple[float, float]:
+    """The limit of a sequence, and how well the last estimates of it agree, also with those of the
+    sequence ``moved`` by its rounding, if any."""
     if len(sequence) <= LEAST_CYCLES:
         before, now = _aitken(sequence[:-1]), _aitken(sequence)
         return now, ESTIMATE_CAUTION * abs(now - before)
-    tables = [_levin(sequence)] if power else [_epsilon(sequence[-POWER_CYCLES:]), _levin(sequence)]
     best = (float(sequence[-1]), float("inf"))
-    for estimates in tables:
+    tables = _tables(sequence, power)
+    for estimates, others in zip(
+        tables, _tables(moved, power) if moved is not None else tables, strict=True
+    ):
         steps = np.abs(np.diff(estimates))
-        for value, *two in zip(estimates[2:], steps, steps[1:], strict=False):
-            if ESTIMATE_CAUTION * max(two) < best[1]:
-                best = (value, ESTIMATE_CAUTION * float(max(two)))
+        for value, other, *two in zip(estimates[2:], others[2:], steps, steps[1:], strict=False):
+            error = ESTIMATE_CAUTION * float(max(*two, abs(value - other)))
+            if error < best[1]:
+                best = (value, error)
     return best
+
+
+def _tables(sequence: Numbers, power: bool) -> list[list[float]]:
+    levin = _levin(sequence)
+    return [levin] if power else [_epsilon(sequence[-POWER_CYCLES:]), levin]
 
 
 def _aitken(sequence: np.ndarray) -> float:
