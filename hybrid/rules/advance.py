@@ -18,6 +18,7 @@ from .jets import OUTPUT, afresh
 from .places import (
     AT,
     BEGINS,
+    CARRIED,
     CLOCK,
     CONTACT,
     DUE,
@@ -140,7 +141,7 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     added(now, left, guard, t, low)
     own = a.guards[guard, OWN]
     now.tied[own], now.touched[own], now.spent[own] = 0, 0, now.ints[FLIGHTS]
-    watch(a, now, guard, kind)
+    watch(a, run, now, room, guard, to, t, before, behind)
     entered(a, now, to, used, power, t, low, behind)
     return LANDED
 
@@ -300,12 +301,58 @@ def beyond(a: AutomatonArrays, now: Now, guard: int) -> bool:
     return now.zeros[place, REACHES] == 1.0 or (urgent and now.orders[place] == 0)
 
 
-def watch(a: AutomatonArrays, now: Now, guard: int, kind: int) -> None:
-    """Count the impacts of the current series: those of one contact with no other jump between."""
-    own = a.guards[guard, OWN]
-    if kind != CONTACT:
-        now.ints[SERIES], now.floats[PULL] = -1, 0.0
-    elif own == now.ints[SERIES]:
-        now.ints[IMPACT_COUNT] += 1
-    else:
+def watch(
+    a: AutomatonArrays,
+    run: Floats,
+    now: Now,
+    room: Room,
+    guard: int,
+    to: int,
+    t: float,
+    before: Floats,
+    behind: Floats,
+) -> None:
+    """Count the impacts of the current series: those of one contact with no other jump between.
+
+    One that is long enough to be summed is noted where a reset ends it that leaves it alone: what
+    follows of it may be hidden by rounding.
+    """
+    own, kind, carried = a.guards[guard, OWN], a.guards[guard, KIND], now.ints[CARRIED]
+    if kind == CONTACT:
+        if own == now.ints[SERIES]:
+            now.ints[IMPACT_COUNT] += 1
+            return
         now.ints[SERIES], now.ints[IMPACT_COUNT], now.floats[TRIED] = own, 1, math.inf
+        now.ints[CARRIED] = own if own == carried else -1
+        return
+    if now.ints[SERIES] >= 0 and now.ints[IMPACT_COUNT] >= run[FIRST_SUMMED]:
+        carried = now.ints[SERIES]
+    reset = carried >= 0 and kind in (EDGE, CLOCK)
+    alone = reset and misses(a, now, room, to, carried, t, before, behind)
+    now.ints[CARRIED] = carried if alone else -1
+    now.ints[SERIES], now.floats[PULL] = -1, 0.0
+
+
+def misses(
+    a: AutomatonArrays,
+    now: Now,
+    room: Room,
+    to: int,
+    own: int,
+    t: float,
+    before: Floats,
+    behind: Floats,
+) -> bool:
+    """Whether a reset that leads to a field leaves the gap of a contact and its speed unchanged."""
+    field = now.ints[FIELD]
+    here, there = twin(a, field, own), twin(a, to, own)
+    if here < 0 or there < 0:
+        return False
+    program = a.fields[field, FIELD_PROGRAM]
+    row = row_of(a, program, field, here)
+    afresh(a.programs, program, 1, t, before, room.still, room.aside, room.work)
+    gap, speed = room.aside[row, 0], room.aside[row, 1]
+    program = a.fields[to, FIELD_PROGRAM]
+    row = row_of(a, program, to, there)
+    afresh(a.programs, program, 1, t, behind, room.still, room.aside, room.work)
+    return gap == room.aside[row, 0] and speed == room.aside[row, 1]

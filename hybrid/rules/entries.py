@@ -16,6 +16,7 @@ from .places import (
     AT_START,
     BENDS,
     BOUNDS,
+    CARRIED,
     CONTACT,
     CROSSING,
     EDGE,
@@ -139,7 +140,8 @@ def start_of(
         series = used and own == now.ints[SERIES] and now.ints[IMPACT_COUNT] > 1
         if settles(a, now, room, guard, c, order, sign, size, rate, bend, series):
             # impacts that rounding has brought to rest are an accumulation, which Python lists
-            return order, HARD if series and now.ints[IMPACT_COUNT] >= run[FIRST_SUMMED] else RESTS
+            long = series and now.ints[IMPACT_COUNT] >= run[FIRST_SUMMED]
+            return order, HARD if long or own == now.ints[CARRIED] else RESTS
         low = kind == CONTACT and order == 1 and drowns(c[1], 2.0 * c[2], reach)
         if kind == CONTACT and used:
             now.floats[PULL] = 2.0 * c[2]

@@ -9,7 +9,7 @@ import numpy as np
 from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
 from ..lowering import Contact, Field
-from ..rules.entries import LIMIT_SPEED, POSITION_ROUNDING
+from ..rules.entries import LIMIT_SPEED
 from ..rules.guards import GUARD_ROUNDING
 from ..rules.sums import LEAST_LOSS
 from ..rules.zeros import EPS
@@ -104,17 +104,20 @@ def _remaining(driver: Driver, contact: Contact, x: StateVector, v: float, field
 
 def settled(driver: Driver, field: Field, x: StateVector, jumped: Jumped) -> None:
     """Pass the limit of impacts that rounding has brought to rest: the contact is held where an arc
-    begins, after an impact or at a knot, that was to be flown in a ``field`` without it. The force
-    that pulls must last until the limit: where it vanishes, flights may grow again."""
-    name, t = driver.watch.contact, driver.t
-    held = set(driver.entry.field.held) - set(field.held)
-    goes_on = jumped.passing is not None or (jumped.series and name in jumped.vanishing)
-    if name not in held or not (goes_on and driver.watch.count >= driver.plan.patience):
+    begins, after an impact, at a knot or after a jump that has left it alone, that was to be flown
+    in a ``field`` without it. The force that pulls must last until the limit: where it vanishes,
+    flights may grow again."""
+    name, t = driver.watch.long(driver.plan.patience), driver.t
+    if name is None or name not in set(driver.entry.field.held) - set(field.held):
+        return
+    struck = name in jumped.vanishing and jumped.passing is None
+    carried = jumped.passing is not None or name == driver.watch.carried
+    if not (carried or (struck and jumped.series)):
         return
     gap = field.guards[field.column(name)]
     height, speed, force = gap.lie(t, x.tolist())
-    if jumped.passing is not None:  # within a flight
-        rounding = POSITION_ROUNDING * EPS * driver.scene.rounding(gap, field)(t, x.tolist())[0]
+    if carried:  # it may be within a flight, or impacts may be off by what counts as zero
+        rounding = GUARD_ROUNDING * EPS * driver.scene.rounding(gap, field)(t, x.tolist())[0]
         speed = np.sqrt(speed * speed + 2.0 * (abs(height) + rounding) * max(-force, 0.0))
     left = _remaining(driver, driver.scene.contact(name), x, max(float(speed), 0.0), field)
     if left == np.inf:

@@ -104,10 +104,34 @@ def rings(
     declared first (4). Then whether that time is the clock's."""
     end, field = driver.record.now.after(flown.length), driver.entry.field
     clock = first(driver, t, field.at_end(t, flown.x))
-    if fired is not None and not is_zero(driver, fired, end, flown.x, t):
+    if fired is not None and _precedes_in_time(driver, fired, end, flown.x, t):
         return None, fired, False
-    there = (g for g in field.guards if g is fired or is_zero(driver, g, end, flown.x, t))
+    there = (g for g in field.guards if g is fired or _comes(driver, g, end, flown.x, t))
     guard = next(there, None)
     if clock is None or (guard is not None and _precedes(driver, guard, clock)):
         return None, guard, True
     return clock, None, True
+
+
+def _comes(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
+    """Whether a guard is zero where a clock rings, and not because it has been so where the arc
+    began and has not gone far."""
+    if not is_zero(driver, guard, end, x, t):
+        return False
+    entry, rate = driver.entry, guard.lie(end.t, x.tolist())[1]
+    index = entry.field.guards.index(guard)
+    leaves = entry.orders[index] > 0 and rate * entry.signs[index] > 0
+    return not (leaves and is_zero(driver, guard, driver.record.now, entry.x, t))
+
+
+def _precedes_in_time(driver: Driver, fired: Guard, end: Instant, x: StateVector, t: float) -> bool:
+    """Whether a guard that fired is not zero any more where a clock rings; or it may be, as one
+    that moves slowly is for long, but another fires between."""
+    if not is_zero(driver, fired, end, x, t):
+        return True
+    for guard in driver.entry.field.guards:
+        value, rate, _ = guard.lie(end.t, x.tolist())
+        crosses = guard is not fired and value * (value + rate * end.until(t)) < 0
+        if crosses and not is_zero(driver, guard, end, x, t):
+            return True
+    return False

@@ -15,7 +15,7 @@ from ..delay.history import unknown
 from ..delay.pieces import Piece
 from ..errors import HybridError
 from ..lowering import Scene
-from ..rules.guards import NEAR
+from ..rules.guards import GUARD_ROUNDING, NEAR
 from ..rules.sums import SUM_FLOOR
 from ..rules.zeros import EPS
 from ..solvers import Solver, own_rtol
@@ -262,13 +262,15 @@ def _late(scene: Scene, tail: Tail, since: float) -> float:
     An impact at a gap of ``d`` instead of zero is ``d / u`` early, at the speed ``u``, and faster
     by ``d`` times the force over ``u``: the limit moves by ``(1 + r) / (1 - r)`` times ``d / u``.
     The impacts before it are faster by ``1 / r`` each, and move it by less; in low flights the gap
-    is a coordinate of its own, and has no such rounding. No run shows that: all round a gap alike.
+    is a coordinate of its own, and has no such rounding. Where the series begins a gap of some more
+    roundings counts as zero. No run shows that: all round a gap alike.
     """
     gap, r, x = tail.field.guards[tail.column], tail.r, tail.x.tolist()
     size, pull = float(scene.rounding(gap, tail.field)(tail.t, x)[0]), abs(gap.lie(tail.t, x)[2])
     low = (NEAR * pull * float(np.max(np.abs(tail.x[: scene.spec.flows])))) ** 0.5
     first = 0.5 * pull * (1.0 - r) * (tail.t + tail.remaining - since)
-    return EPS * size * r * (1.0 + r) / (max(tail.v, min(low, first)) * (1.0 - r) ** 2)
+    early = max(1.0 / max(tail.v, min(low, first)), GUARD_ROUNDING / max(tail.v, first))
+    return EPS * size * early * r * (1.0 + r) / (1.0 - r) ** 2
 
 
 def _shows(run: FinishedRun, index: int, point: Compared) -> bool:

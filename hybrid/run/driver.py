@@ -169,7 +169,7 @@ class Driver:
             else:
                 self.entry = self._entered(mode, x, jumped, self.seen)
                 self.jumped = jumped
-                if jumped.passing is not None and self.t > self.plan.t0:
+                if self.watch.carried or (jumped.passing is not None and self.t > self.plan.t0):
                     settled(self, field, x, jumped)
             self.seen = np.maximum(self.seen, np.abs(x))
 

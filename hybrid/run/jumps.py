@@ -77,13 +77,26 @@ def _reset(driver: Driver, guard: Guard, before: StateVector, carried: bool) -> 
     if came.used is None:
         driver.spent -= {guard.edge}
     came.held = driver.still_held(guard.to, after)
-    driver.watch.reset()
+    driver.watch.reset(_left_alone(driver, driver.scene.name(guard.to, came.held), before, after))
     if guard.to == TERMINATE:
         add_jump(driver, guard.edge, before, after)
         driver.status, driver.mode = Status.TERMINATED, driver.entry.field.mode
         return
     if not (add_jump(driver, guard.edge, before, after) and pass_limit(driver, guard.to)):
         driver.enter(guard.to, after, came)
+
+
+def _left_alone(driver: Driver, to: str, before: StateVector, after: StateVector) -> str | None:
+    """The contact of a series that is long enough to be summed, if a reset, which leads to a field,
+    leaves its gap and gap speed unchanged."""
+    name = driver.watch.long(driver.plan.patience)
+    if name is None or to == TERMINATE:
+        return None
+    here, there = (
+        [guard.lie(driver.t, x.tolist())[:2] for guard in field.guards if guard.edge == name]
+        for field, x in ((driver.entry.field, before), (driver.scene.field(to), after))
+    )
+    return name if here and here == there else None
 
 
 def came_by(

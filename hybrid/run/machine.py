@@ -27,6 +27,7 @@ from ..rules.places import (
     AT_START,
     BEGINS,
     BEYOND_BY,
+    CARRIED,
     CURVE_ROWS,
     DRIVERS,
     DUE,
@@ -200,16 +201,16 @@ class Machine:
             if status == GOES_ON:
                 if self.takes():
                     continue
-                driver.watch = Watch(*self._series())
+                driver.watch = self._series()
                 return
             stands = not ended and status in (END, JUMP)
             if stands:
-                driver.watch = Watch(*self._series())
+                driver.watch = self._series()
                 self._stand(left, status)
             self.tell(0.0 if ended or stands else self._hold(left), left)
             if ended or stands or self._spent(status, left):
                 return
-            driver.watch = Watch(*self._series())
+            driver.watch = self._series()
             if status != FULL:
                 self._tell_sides()
                 self._lower()
@@ -337,7 +338,7 @@ class Machine:
         at_knot = status == END and feed.until < self.plan.t1
         if not (at_knot or (status == LOOK and feed.place[2] == place)):
             return False
-        driver.watch = Watch(*self._series())
+        driver.watch = self._series()
         tau, x, t = float(self.floats[TAU]), self.now.end.copy(), feed.until
         if not at_knot:
             self.ints[STEPS_MADE] = feed.place[3]
@@ -419,12 +420,11 @@ class Machine:
         self.ints[STEPS_MADE] += self.ints[MADE]
         self._last(left)
 
-    def _series(self) -> tuple[str | None, int, float]:
-        """The current series of impacts: the contact, their number, and the speed at which a sum
-        was tried last."""
-        guard, count = int(self.ints[SERIES]), int(self.ints[IMPACT_COUNT])
-        contact = self.tables.guards[guard].edge if guard >= 0 else None
-        return contact, count, float(self.floats[TRIED])
+    def _series(self) -> Watch:
+        """The current series of impacts."""
+        guards, own = self.tables.guards, (int(self.ints[SERIES]), int(self.ints[CARRIED]))
+        contact, carried = (guards[guard].edge if guard >= 0 else None for guard in own)
+        return Watch(contact, int(self.ints[IMPACT_COUNT]), float(self.floats[TRIED]), carried)
 
     def _begin(self) -> None:
         """Put the driver's entry into the loop's arrays."""
@@ -455,6 +455,7 @@ class Machine:
         floats[BEYOND_BY] = driver.jumped.beyond_by if judged else jumped.beyond_by
         ints[GUARD_POWER], ints[LASTED] = power, jumped.series
         ints[SERIES], ints[IMPACT_COUNT] = own.get(contact, -1), driver.watch.count
+        ints[CARRIED] = own.get(driver.watch.carried, -1)
         floats[TRIED], floats[STEPS_LOST] = driver.watch.tried, driver.losses.tolerances
         ints[LOW_AHEAD] = ints[WAS_LOW] = 0
         x, _, seen = self.now[2:5]
