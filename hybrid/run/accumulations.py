@@ -9,7 +9,7 @@ import numpy as np
 from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
 from ..lowering import Contact, Field
-from ..rules.entries import LIMIT_SPEED
+from ..rules.entries import LIMIT_SPEED, POSITION_ROUNDING
 from ..rules.guards import GUARD_ROUNDING
 from ..rules.sums import LEAST_LOSS
 from ..rules.zeros import EPS
@@ -110,14 +110,14 @@ def settled(driver: Driver, field: Field, x: StateVector, jumped: Jumped) -> Non
     name, t = driver.watch.long(driver.plan.patience), driver.t
     if name is None or name not in set(driver.entry.field.held) - set(field.held):
         return
-    struck = name in jumped.vanishing and jumped.passing is None
-    carried = jumped.passing is not None or name == driver.watch.carried
-    if not (carried or (struck and jumped.series)):
+    passing, carried = jumped.passing is not None, name == driver.watch.carried
+    if not (passing or carried or (jumped.series and name in jumped.vanishing)):
         return
     gap = field.guards[field.column(name)]
     height, speed, force = gap.lie(t, x.tolist())
-    if carried:  # it may be within a flight, or impacts may be off by what counts as zero
-        rounding = GUARD_ROUNDING * EPS * driver.scene.rounding(gap, field)(t, x.tolist())[0]
+    if passing or carried:  # within a flight; impacts tied with other jumps may be farther off
+        off = GUARD_ROUNDING if carried else POSITION_ROUNDING
+        rounding = off * EPS * driver.scene.rounding(gap, field)(t, x.tolist())[0]
         speed = np.sqrt(speed * speed + 2.0 * (abs(height) + rounding) * max(-force, 0.0))
     left = _remaining(driver, driver.scene.contact(name), x, max(float(speed), 0.0), field)
     if left == np.inf:
