@@ -9,7 +9,8 @@ driver. To *fly* a lane means to integrate it through its jumps.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -225,10 +226,13 @@ class Abreast:
             yield flown
             return
         blocks = np.split(which, range(size, len(which), size))
-        pool = ThreadPoolExecutor(threads)
+        # unlike a condition, on which as_completed waits, this may be interrupted at any time
+        pool, ended = ThreadPoolExecutor(threads), SimpleQueue[Future[tuple[FlownLanes, int]]]()
         try:
-            for done in as_completed([pool.submit(self._block, automaton, b) for b in blocks]):
-                flown, steps = done.result()
+            for block in blocks:
+                pool.submit(self._block, automaton, block).add_done_callback(ended.put)
+            for _ in blocks:
+                flown, steps = ended.get().result()
                 self.tables.flown(steps, self.loop.order)
                 self.steps += steps
                 yield flown
