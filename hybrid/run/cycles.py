@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import accumulate, takewhile
+from functools import partial
+from itertools import accumulate, pairwise, takewhile
 from math import ulp
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -115,6 +116,26 @@ def idle(scene: Scene, field: Field, guard: Guard, t: float, x: StateVector, s: 
     value, rate, bend = guard.lie(t, x.tolist())
     height = abs(value) + abs(rate) * s + 0.5 * abs(bend) * s * s
     return bool(height <= 64 * EPS * scene.rounding(guard, field)(t, x.tolist())[0])
+
+
+def blurs(scene: Scene, seen: Columns, closings: Integers, length: int) -> Numbers:
+    """How far the rounding of guards may put off the times of jumps that close turns.
+
+    A guard is zero to the rounding of its terms. How fast it comes there is told by the parabola
+    from where its flight began.
+    """
+    first = max(int(closings[0]) - length, 0)
+    last = seen.part(slice(first, int(closings[-1]) + 1)).rows()
+    off = np.zeros(len(last))
+    for k, (now, jump) in enumerate(pairwise(last)):
+        field, s = scene.field(jump.mode), now.until(jump)
+        guard = next((guard for guard in field.guards if guard.edge == jump.edge), None)
+        if guard is not None and s > 0.0:
+            value, rate, _ = guard.lie(now.t, now.x.tolist())
+            size = scene.rounding(guard, field)(now.t, now.x.tolist())[0]
+            off[k + 1] = EPS * size / max(abs(2.0 * value / s + rate), EPS * size / s)
+    ends = np.cumsum(off)[closings - first]
+    return np.diff(ends, prepend=0.0)
 
 
 @attrs.frozen(eq=False)
@@ -306,7 +327,7 @@ class Cycles:
         counts = (turns[-1] > 0) & (turns[-1] >= WINDOW_FALL * turns[-2])
         return np.setdiff1d(np.flatnonzero(counts), self.beside).tolist()  # type: ignore[no-any-return]
 
-    def limit(self, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
+    def limit(self, scene: Scene, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
         """The limit at which the last jumps accumulate, and the last turn; None if they do not.
 
         The states may come round after several turns of the edges: a reset may change a sign.
@@ -315,7 +336,8 @@ class Cycles:
         for length in range(shortest, LONGEST_CYCLE + 1, shortest) if shortest else ():
             closings = self._shrinking(length)
             times, states = self.seen.since(closings), self.seen.x[closings]
-            found = limit(self._cycle(shortest), times, states, rtol, atol, self.beside)
+            blur = partial(blurs, scene, self.seen, closings, length)
+            found = limit(self._cycle(shortest), times, states, rtol, atol, self.beside, blur)
             turn = None if found is None else self._turn(length, found)
             if found is not None and turn is not None:
                 return attrs.evolve(found, ratio=found.ratio ** (shortest / length)), turn

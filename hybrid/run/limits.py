@@ -22,7 +22,6 @@ from .instant import collapse
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
-    from ..trajectory.plan import Plan
     from .driver import Driver
 
     Law = Callable[[float, StateVector], Numbers]
@@ -215,7 +214,7 @@ def pass_limit(driver: Driver, mode: str) -> bool:
     if slower is not None:
         pass_cycle(driver, slower, cycles.seen.x[-1].copy(), mode)
         return True
-    sought = _sought(cycles, plan)
+    sought = _sought(driver)
     known = driver.until(driver.known, driver.scene.field(mode), cycles.seen.x[-1])
     if sought is None:
         return False
@@ -257,15 +256,16 @@ def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
     return collapse(driver.scene, mode, cycles.last(STILL_JUMPS), cycles.still)
 
 
-def _sought(cycles: Cycles, plan: Plan) -> tuple[CycleLimit, Turn] | None:
+def _sought(driver: Driver) -> tuple[CycleLimit, Turn] | None:
     """The limit of the last jumps, if it is known to the accuracy wanted, or as well as rounding
     will ever show it."""
+    cycles, plan = driver.cycles, driver.plan
     rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
     if cycles.stands:
         return cycles.reached(rtol, atol)
     own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
     for *known, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, DROWNING)]:
-        sought = cycles.limit(*known)
+        sought = cycles.limit(driver.scene, *known)
         if sought is not None and sought[0].remaining <= left * cycles.longest:
             return sought
     return None

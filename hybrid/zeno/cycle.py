@@ -29,7 +29,7 @@ turn to the next bounds an error that keeps decreasing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import attrs
@@ -61,6 +61,10 @@ NEARER = 0.5
 
 #: By how many times more than before the ratio of successive times left may change with a turn.
 PACE_CHANGE = 4.0
+
+#: How many times what times and states are off by may show in what a turn changes, made of two of
+#: them, each of which has been through all turns before.
+PACE_NOISE = 8.0
 
 #: Safety factor on the change between the last estimates.
 ESTIMATE_CAUTION = 8.0
@@ -128,6 +132,7 @@ def limit(
     rtol: float,
     atol: float,
     beside: Sequence[int] = (),
+    blur: Callable[[], Numbers] = lambda: np.zeros(1),
 ) -> CycleLimit | None:
     """The limit of a cycle; None if it does not accumulate, or not yet clearly enough.
 
@@ -141,6 +146,8 @@ def limit(
         Accuracy of the jumps, and required accuracy of the limit.
     beside : sequence of int
         Indices of discrete state elements: see :func:`accelerated`.
+    blur : callable
+        Gives how far each of the times may be off, beside its own rounding.
     """
     durations = np.diff(times)
     if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
@@ -166,14 +173,26 @@ def limit(
     if not (remaining > 0 and near and np.all(np.isfinite(now))):
         return None
     off, steps = np.abs(columns - now), np.abs(np.diff(columns, axis=0))
-    known = CYCLE_ROUNDING * len(columns) * scale
+    noise = _moving(columns, blur())
+    known = CYCLE_ROUNDING * len(columns) * scale + PACE_NOISE * noise
     for k in np.setdiff1d(np.arange(len(now)), others):
-        if not (_keeps_pace(off[:, k], error[k]) and _keeps_pace(steps[:, k], known[k])):
+        left = _keeps_pace(off[:, k], error[k] + known[:, k])
+        if not (left and _keeps_pace(steps[:, k], known[1:, k])):
             return None
     if np.any((off[-1] > NEARER * off.max(axis=0) + error)[1:]):
         return None
+    # a turn that is too short by its noise, at both ends, makes all that is left so, in proportion
+    late = np.sum(noise[1:, 0] * (1.0 + 2.0 * off[1:, 0] / steps[:, 0]))
+    error += late * steps[-1] / steps[-1, 0]
     ratio = 1.0 if power else float(durations[-1] / durations[-2])
     return CycleLimit(edges, remaining, now[1:], ratio, float(error[0]), error[1:], len(times))
+
+
+def _moving(columns: Matrix, blur: Numbers) -> Matrix:
+    """How far times, and states that move as they do, are off where times are off by ``blur``."""
+    steps = np.abs(np.diff(columns, axis=0))
+    rates = steps / steps[:, :1]
+    return blur[-len(columns) :, None] * np.vstack([rates[:1], rates])  # type: ignore[no-any-return]
 
 
 def accelerated(
@@ -195,14 +214,15 @@ def accelerated(
     return now, error, scale
 
 
-def _keeps_pace(left: Numbers, known: float) -> bool:
+def _keeps_pace(left: Numbers, known: Numbers) -> bool:
     """Whether numbers fall as they began to: their ratios change ever less, or as before. Where
     another law has begun in the last turns, estimates may still be those of the old.
 
     ``known``: how well the numbers are known; less than that tells nothing.
     """
-    left = left[: int(np.argmax(np.append(left, 0.0) <= known))]
-    changes, off = np.abs(np.diff(left[1:] / left[:-1])), known / left[1:-1]
+    left = left[: int(np.argmax(np.append(left <= known, True)))]
+    known = known[: len(left)]
+    changes, off = np.abs(np.diff(left[1:] / left[:-1])), known[2:] / left[1:-1]
     if len(changes) < FEW_TURNS:
         return True
     late = max(1, len(changes) // 2, len(changes) - LEAST_CYCLES)
