@@ -551,3 +551,74 @@ def test_an_event_fires_once_a_few_roundings_before_a_clock(solver):
         model = Ticking(r=0.9, event=1.25, ring=ring)
         run = hy.simulate(model, {"x": 21.0, "v": 0.0}, (0.0, 2.0), solver=solver)
         assert [row.edge for row in run.jumps if row.edge != "impact"] == ["tick", "tock"]
+
+
+class Timed(hy.Automaton):
+    """A ball on a shelf with a record of the time, an event, and a clock declared first."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    rings = hy.discrete(0)
+    events = hy.discrete(0)
+    r: float = hy.parameter(0.5)
+    h: float = hy.parameter(1.0)
+    ring: float = hy.parameter(9.0)
+    event: float = hy.parameter(9.0)
+    least: float = hy.parameter(-1.0)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -10.0, 1.0
+
+    @hy.edge(flight, at="ring", when=lambda self, t, s: s.y > self.least)
+    def tock(self, t, s):
+        return s.replace(rings=s.rings + 1)
+
+    @hy.edge(flight, guard=lambda self, t, s: self.event - t)
+    def tick(self, t, s):
+        return s.replace(events=s.events + 1)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - self.h, restitution="r")
+
+
+def dropped(**values):
+    model = Timed(**values)
+    return model, {"x": model.h + 0.8, "v": 0.0, "y": 0.0}
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("early", [1e-6, 1e-8, 1e-10, 1e-12])
+def test_an_event_shortly_before_a_clock_shortly_before_a_limit_fires(solver, early):
+    """The clock is declared first, and the ball rests from it on."""
+    ring = 1.2 - early
+    for spacings in (-2, 0, 1, 2, 4):
+        model, start = dropped(ring=ring, event=ring - spacings * np.spacing(ring))
+        run = hy.simulate(model, start, (0.0, 2.0), solver=solver)
+        assert (run.final.rings, run.final.events, len(run.zeno)) == (1, 1, 1), spacings
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_a_clock_rings_in_the_state_of_its_time(solver):
+    """Where a slow impact shortly before cannot be told from it by the gap."""
+    x0, r = -3.7 + 1.9742157668520586, 0.5899072010435598
+    model = Timed(h=-3.7, r=r, event=2.436137627068065, ring=2.4361379022329173)
+    run = hy.simulate(model, {"x": x0, "v": 0.0, "y": 0.0}, (0.0, 2.5), solver=solver)
+    off = [abs(row.after.y - row.t) for row in run.jumps]
+    assert max([*off, abs(run.final.y - 2.5)]) < 1e-13  # y is a sum of a few times
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("h", [0.0, 1.0, 20.0, -500.0])
+@pytest.mark.parametrize("early", [1e-3, 1e-5, 1e-6, 1e-8])
+def test_a_clock_that_does_not_fire_shortly_before_a_limit_is_in_its_bound(solver, h, early):
+    """The arc ends there, and the gap is rounded."""
+    ratio = 0.5
+    limit = 0.4 * (1.0 + ratio) / (1.0 - ratio)  # x - h is 0.8, to the rounding of h
+    model, start = dropped(h=h, ring=limit - early, least=9.0)
+    run = hy.simulate(model, start, (0.0, 2.0), solver=solver, rtol=1e-12)
+    (point,) = run.zeno
+    fall = start["x"] - h
+    exact = np.sqrt(fall / 5.0) * (1.0 + ratio) / (1.0 - ratio)
+    assert abs(point.t - exact) <= point.t_error < 1e-4
+    assert run.final.rings == 0

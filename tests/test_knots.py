@@ -131,3 +131,42 @@ def test_lanes_take_the_jumps_of_knots_as_runs_do():
         run = hy.simulate(model, {"x": x, "v": 0.0}, (0.0, 0.7), solver="taylor")
         assert int(lanes.jumps[i]) == len(run.jumps)
         assert abs(float(lanes.x[i]) - run.final.x) < CLOSE
+
+
+class Passing(hy.Automaton):
+    """A body that falls through a level, and a time, under a load that does not change."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.discrete(0)
+    level: float = hy.parameter(-1e9)
+    event: float = hy.parameter(9.0)
+    load = hy.signal(outside="hold")
+
+    @hy.mode
+    def falls(self, t, s):
+        return s.v, -10.0 * self.load(t)
+
+    @hy.edge(falls, guard=lambda self, t, s: s.x - self.level)
+    def kick(self, t, s):
+        return s.replace(n=s.n + 1, v=s.v - 1.0)
+
+    @hy.edge(falls, guard=lambda self, t, s: self.event - t)
+    def tick(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("x0", [0.0, -500.0, 1e4])
+@pytest.mark.parametrize("guard", ["level", "event"])
+def test_an_event_a_few_roundings_before_a_knot_fires_once(solver, x0, guard):
+    """It is still zero, but for rounding, at the knot."""
+    for time in np.random.default_rng(3).uniform(1.0, 2.0, 8):
+        for spacings in (-5, -1, 0, 1, 2, 5, 20, 100, 4000):
+            knot = time + spacings * np.spacing(time)
+            load = ([0.0, 0.1, knot, 9.0], [1.0] * 4)
+            where = {"level": x0 - 5.0 * time * time} if guard == "level" else {"event": time}
+            run = hy.simulate(
+                Passing(load=load, **where), {"x": x0, "v": 0.0}, (0.0, 3.0), solver=solver
+            )
+            assert (run.final.n, len(run.jumps)) == (1, 1), (time, spacings)

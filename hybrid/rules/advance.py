@@ -18,7 +18,6 @@ from .jets import OUTPUT, afresh
 from .places import (
     AT,
     BEGINS,
-    CARRIED,
     CLOCK,
     CONTACT,
     DUE,
@@ -45,6 +44,7 @@ from .places import (
     LAST_USED,
     LASTED,
     LEAVE,
+    LEFT_ALONE,
     LOW,
     LOW_AHEAD,
     MAKE,
@@ -317,19 +317,19 @@ def watch(
     One that is long enough to be summed is noted where a reset ends it that leaves it alone: what
     follows of it may be hidden by rounding.
     """
-    own, kind, carried = a.guards[guard, OWN], a.guards[guard, KIND], now.ints[CARRIED]
+    own, kind, carried = a.guards[guard, OWN], a.guards[guard, KIND], now.ints[LEFT_ALONE]
     if kind == CONTACT:
         if own == now.ints[SERIES]:
             now.ints[IMPACT_COUNT] += 1
             return
         now.ints[SERIES], now.ints[IMPACT_COUNT], now.floats[TRIED] = own, 1, math.inf
-        now.ints[CARRIED] = own if own == carried else -1
+        now.ints[LEFT_ALONE] = own if own == carried else -1
         return
     if now.ints[SERIES] >= 0 and now.ints[IMPACT_COUNT] >= run[FIRST_SUMMED]:
         carried = now.ints[SERIES]
     reset = carried >= 0 and kind in (EDGE, CLOCK)
     alone = reset and misses(a, now, room, to, carried, t, before, behind)
-    now.ints[CARRIED] = carried if alone else -1
+    now.ints[LEFT_ALONE] = carried if alone else -1
     now.ints[SERIES], now.floats[PULL] = -1, 0.0
 
 

@@ -16,7 +16,6 @@ from .places import (
     AT_START,
     BENDS,
     BOUNDS,
-    CARRIED,
     CONTACT,
     CROSSING,
     EDGE,
@@ -34,6 +33,7 @@ from .places import (
     KIND,
     LAST_USED,
     LASTED,
+    LEFT_ALONE,
     MADE_OF,
     NONE,
     OWN,
@@ -141,7 +141,7 @@ def start_of(
         if settles(a, now, room, guard, c, order, sign, size, rate, bend, series):
             # impacts that rounding has brought to rest are an accumulation, which Python lists
             long = series and now.ints[IMPACT_COUNT] >= run[FIRST_SUMMED]
-            return order, HARD if long or own == now.ints[CARRIED] else RESTS
+            return order, HARD if long or own == now.ints[LEFT_ALONE] else RESTS
         low = kind == CONTACT and order == 1 and drowns(c[1], 2.0 * c[2], reach)
         if kind == CONTACT and used:
             now.floats[PULL] = 2.0 * c[2]

@@ -24,7 +24,6 @@ from .places import (
     AT_REST,
     BEGINS,
     BOUNDS,
-    CARRIED,
     CLOSING,
     CONSTRAINED,
     CROSSING,
@@ -54,6 +53,7 @@ from .places import (
     JUMPS_MADE,
     LAST_SPEED,
     LAST_TIME,
+    LEFT_ALONE,
     LOCAL,
     LOOK,
     LOW,
@@ -296,7 +296,7 @@ def rests(
         entered(a, now, field, a.guards[guard, OWN], 1, end, rest, x)
     else:
         x[0] = math.nan
-    now.ints[SERIES], now.ints[CARRIED], now.floats[PULL] = -1, -1, 0.0
+    now.ints[SERIES], now.ints[LEFT_ALONE], now.floats[PULL] = -1, -1, 0.0
     now.ints[PHASE], now.ints[TAILS] = BEGINS, tail + 1
     last = run[REST_AFTER] == ENDS_THERE or tail + 1 == left.sums.shape[0]
     return GOES_ON if plain and not last else FULL

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
-from ..lowering import Contact, Field
+from ..lowering import Contact, Field, Guard
 from ..rules.entries import LIMIT_SPEED, POSITION_ROUNDING
 from ..rules.guards import GUARD_ROUNDING
 from ..rules.sums import LEAST_LOSS
@@ -127,7 +127,17 @@ def settled(driver: Driver, field: Field, x: StateVector, jumped: Jumped) -> Non
         return
     x, errors = driver.entry.x, (64 * EPS * abs(t) + left, 64 * EPS * np.abs(driver.entry.x))
     found = CycleLimit((name,), 0.0, x, np.nan, *errors, driver.watch.count)
+    driver.touched = driver.touched | _beside(driver, field, x, jumped)
     pass_cycle(driver, found, x, field.mode)
+
+
+def _beside(driver: Driver, field: Field, x: StateVector, jumped: Jumped) -> dict[str, int]:
+    """By edge, the side of guards that are zero where a limit is passed: of one that is still to
+    fire that from which it comes, of one that has fired that to which it goes."""
+    over = {jumped.used, *jumped.vanishing, *driver.spent}
+    still = {edge: side for edge, side in jumped.tied.items() if edge not in over}
+    fired = (guard for guard in field.guards if guard.edge in jumped.vanishing)
+    return still | {g.edge: int(np.sign(g.lie(driver.t, x.tolist())[1])) for g in fired}
 
 
 def _at_limit(driver: Driver, name: str, x_inf: StateVector, field: Field, drawn: bool) -> float:
@@ -259,9 +269,23 @@ def _go_on_from(
 
 
 def _since(driver: Driver, tail: Tail) -> float:
-    """The first impact of a series, or the last knot before its sum: there gaps are rounded."""
+    """The first impact of a series, or the last knot, or ring of a clock that did not fire, before
+    its sum: there gaps are rounded."""
     first, model = driver.cycles.first_of(tail.contact.name), driver.model
-    return max(first, model.span(tail.t)[0]) if model.samples else first
+    knot = model.span(tail.t)[0] if model.samples else first
+    clocks = (clock for clock in tail.field.clocks if clock.when is not None)
+    return max(first, knot, *(_rung(clock, first, tail) for clock in clocks))
+
+
+def _rung(clock: Guard, first: float, tail: Tail) -> float:
+    """The last time before a sum, but after the first impact, at which a clock rings."""
+    assert clock.after is not None
+    x, back, latest = tail.x.tolist(), np.spacing(tail.t), first
+    while latest == first and tail.t - back > first:
+        back *= 2.0
+        t = float(clock.after(max(tail.t - back, first), x))
+        latest = t if t <= tail.t else first
+    return latest
 
 
 def _sides(driver: Driver, field: Field, x: StateVector) -> dict[str, int]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..lowering import Field, Guard
 from ..trajectory.clock import Instant
-from .entry import Jumped, is_zero, signs_at_end
+from .entry import Jumped, is_zero, just_left, signs_at_end
 from .knots import let_go, pass_knot
 
 if TYPE_CHECKING:
@@ -97,41 +97,42 @@ def _precedes(driver: Driver, guard: Guard, clock: Guard) -> bool:
 
 
 def rings(
-    driver: Driver, t: float, fired: Guard | None, flown: Flown
+    driver: Driver, t: float, fired: Guard | None, flown: Flown, x: StateVector
 ) -> tuple[Guard | None, Guard | None, bool]:
     """The clock that fires where an arc ends, which goes no further than the time at which one
-    rings; else the guard that fires there: of those that are zero at one time that of the edge
-    declared first (4). Then whether that time is the clock's."""
-    end, field = driver.record.now.after(flown.length), driver.entry.field
-    clock = first(driver, t, field.at_end(t, flown.x))
-    if fired is not None and _precedes_in_time(driver, fired, end, flown.x, t):
+    rings, at a state; else the guard that fires there: of those that are zero at one time that of
+    the edge declared first (4). Then whether that time is the clock's."""
+    field = driver.entry.field
+    clock = first(driver, t, field.at_end(t, x))
+    if fired is not None and _before(driver, fired, flown, t, x):
         return None, fired, False
-    there = (g for g in field.guards if g is fired or _comes(driver, g, end, flown.x, t))
+    there = (g for g in field.guards if g is fired or _comes(driver, g, x, t))
     guard = next(there, None)
     if clock is None or (guard is not None and _precedes(driver, guard, clock)):
         return None, guard, True
     return clock, None, True
 
 
-def _comes(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
-    """Whether a guard is zero where a clock rings, and not because it has been so where the arc
-    began and has not gone far."""
-    if not is_zero(driver, guard, end, x, t):
-        return False
-    entry, rate = driver.entry, guard.lie(end.t, x.tolist())[1]
-    index = entry.field.guards.index(guard)
-    leaves = entry.orders[index] > 0 and rate * entry.signs[index] > 0
-    return not (leaves and is_zero(driver, guard, driver.record.now, entry.x, t))
+def _comes(driver: Driver, guard: Guard, x: StateVector, t: float) -> bool:
+    """Whether a guard comes to zero where a clock rings."""
+    return _is_zero(driver, guard, x, t) and not just_left(driver, guard, x, t)
 
 
-def _precedes_in_time(driver: Driver, fired: Guard, end: Instant, x: StateVector, t: float) -> bool:
+def _is_zero(driver: Driver, guard: Guard, x: StateVector, t: float) -> bool:
+    """Whether a guard is zero where a clock rings. The gap of a series of impacts was zero where
+    its flight began: how large the states have been before that does not matter."""
+    local = guard.edge == driver.watch.contact
+    return is_zero(driver, guard, Instant(t), x, t, 0.0 * driver.seen if local else driver.seen)
+
+
+def _before(driver: Driver, fired: Guard, flown: Flown, t: float, x: StateVector) -> bool:
     """Whether a guard that fired is not zero any more where a clock rings; or it may be, as one
     that moves slowly is for long, but another fires between."""
-    if not is_zero(driver, fired, end, x, t):
+    if not _is_zero(driver, fired, x, t):
         return True
+    end = driver.record.now.after(flown.length).t
     for guard in driver.entry.field.guards:
-        value, rate, _ = guard.lie(end.t, x.tolist())
-        crosses = guard is not fired and value * (value + rate * end.until(t)) < 0
-        if crosses and not is_zero(driver, guard, end, x, t):
+        crosses = guard.value(end, flown.x.tolist()) * guard.value(t, x.tolist()) < 0
+        if crosses and guard is not fired and not _is_zero(driver, guard, x, t):
             return True
     return False

@@ -34,7 +34,7 @@ from .accumulations import settled
 from .arc import ArcFlow, Flown
 from .cycles import Cycles
 from .entry import STARTS_OFF, Entry, Jumped, describe, enter, extent, signs_at_end
-from .knots import fires_at, let_go, pass_knot
+from .knots import fires_at, let_go, pass_knot, taken
 from .losses import Losses
 from .machine import Machine
 from .pace import Pace
@@ -380,7 +380,9 @@ class Driver:
         clock, tied = None, False
         if at_clock:
             flown = self._gather(flown, due)
-            clock, fired, tied = clocks.rings(self, due, fired, flown)
+            x = self._up_to(flown, due)
+            clock, fired, tied = clocks.rings(self, due, fired, flown, x)
+            flown = attrs.evolve(flown, x=x) if clock is not None or tied else flown
         by = at_clock and clock is None and fired is None and due < self.plan.t1
         if clock is None and fired is not None and self._waits(fired, flown):
             fired = None
@@ -408,6 +410,16 @@ class Driver:
             self.record.now = Instant(due) if tied else self.record.now
             self.beyond_by = flown.beyond_by
             self.jump(fired, x, flown.carried)
+
+    def _up_to(self, flown: Flown, due: float) -> StateVector:
+        """The state in which a clock rings, after an arc that may end a little before, where a
+        guard is zero but for rounding: by a step of the midpoint rule."""
+        end, rhs, x = self.record.now.after(flown.length), self.field.rhs, flown.x
+        left = end.until(due)
+        if not left > 0.0:
+            return x
+        middle = x + 0.5 * left * np.array(rhs(end.t, x.tolist()))
+        return x + left * np.array(rhs(end.t + 0.5 * left, middle.tolist()))
 
     def _gather(self, flown: Flown, due: float) -> Flown:
         """An arc that ends where a clock rings, with all guards that are zero there, but for what
@@ -466,7 +478,7 @@ class Driver:
             pass_knot(self, self.scene.until, x)
             return
         most = max(TIE * np.spacing(abs(t)), FURTHEST_APART * (t - memory.since))
-        if fired is None and fires_at(self, self.spent.union(self.vanishing), t, x, most):
+        if fired is None and fires_at(self, taken(self, t, x), t, x, most):
             return
         signs = signs_at_end(self.entry, t, x, self.reach(x))
         memory.passed(t, x, field, fired.edge if fired else None)

@@ -21,10 +21,10 @@ from ..rules.cuts import MOVES
 from ..rules.entries import ARMED, BEYOND, FIRES, LEAVES, OUTSIDE, UNDECIDED
 from ..rules.guards import GUARD_ROUNDING, NEAR, TIE
 from ..rules.zeros import EPS
+from ..trajectory.clock import Instant
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
-    from ..trajectory.clock import Instant
     from .driver import Driver
 
 #: What there is to do about a start, or a jump, outside a domain: of a contact or not, starting.
@@ -402,12 +402,20 @@ def describe(scene: Scene, field: Field, t: float, x: StateVector) -> str:
     return f"{scene.spec.model}, mode {field.name}, t = {t!r}, {scene.spec.record(x)}"
 
 
-def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
+def is_zero(
+    driver: Driver,
+    guard: Guard,
+    end: Instant,
+    x: StateVector,
+    t: float,
+    seen: StateVector | None = None,
+) -> bool:
     """Whether a guard that moves in its firing direction is zero at a time, and its condition
-    holds. Zero is meant to spacings of the time, to the rounding of the guard, and to what the
-    steps have lost."""
+    holds. Zero is meant to spacings of the time, to the rounding of the guard at the largest states
+    ``seen``, and to what the steps have lost."""
+    seen = driver.seen if seen is None else seen
     value, rate, bend = guard.lie(end.t, x.tolist())
-    size, _, _ = extent(driver.scene, guard, driver.entry.field, end.t, x, driver.seen)
+    size, _, _ = extent(driver.scene, guard, driver.entry.field, end.t, x, seen)
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
     moves = rate * (DIRECTIONS[guard.crossing] or rate) > 0
     moves = moves and guard.holds(end.t, x.tolist())
@@ -417,6 +425,18 @@ def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float
         noise = max(noise, lost)
     moves = moves and not (guard.kind in ("edge", "switch") and turns_within(rate, bend, noise))
     return bool(moves and abs(value) + abs(rate * end.until(t)) <= noise)
+
+
+def just_left(driver: Driver, guard: Guard, x: StateVector, t: float) -> bool:
+    """Whether a guard that is zero at a time, but for rounding, was so where the last jump, its
+    own, has led, and still moves as it did there: it does not come to zero, but has not gone
+    far."""
+    seen = driver.cycles.seen
+    if not len(seen.t) or seen.edge[-1] != guard.edge:
+        return False
+    begun, after = Instant(float(seen.t[-1]), float(seen.low[-1])), seen.x[-1]
+    onwards = guard.lie(begun.t, after.tolist())[1] * guard.lie(t, x.tolist())[1] > 0.0
+    return bool(onwards) and is_zero(driver, guard, begun, after, t)
 
 
 def turns_within(rate: float, bend: float, noise: float) -> bool:

@@ -17,7 +17,7 @@ from ..rules.arrays import InputArrays
 from ..rules.guards import GUARD_ROUNDING, NEAR
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
-from .entry import Entry, Jumped, departed, is_zero, opened, signs_at_end
+from .entry import Entry, Jumped, departed, is_zero, just_left, opened, signs_at_end
 from .noting import add_jump
 
 if TYPE_CHECKING:
@@ -44,8 +44,7 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
         If a gap jumps below zero.
     """
     entry, field, there = driver.entry, driver.entry.field, driver.model.at(t)
-    known = driver.vanishing
-    spent = driver.spent.union(known)
+    known, spent = driver.vanishing, taken(driver, t, x)
     signs = _sides(entry, spent, t, x, driver.reach(x))
     driver.record.now = Instant(t)
     if driver.scene.until == t and fires_at(driver, spent, t, x):
@@ -61,6 +60,14 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
     elif not let_go(driver, t, x):
         known = {edge: power for edge, power in known.items() if edge not in off}
         driver.enter(field.mode, x, Jumped(known, field.held, passing=signs))
+
+
+def taken(driver: Driver, t: float, x: StateVector) -> frozenset[str]:
+    """The edges that have just been taken, and whose guards may still be zero, but for rounding.
+    Those just left count as taken at this time."""
+    guards = driver.entry.field.guards
+    driver.spent = driver.spent.union(g.edge for g in guards if just_left(driver, g, x, t))
+    return driver.spent.union(driver.vanishing)
 
 
 def let_go(driver: Driver, t: float, x: StateVector, lost: float = 0.0) -> bool:

@@ -27,7 +27,6 @@ from ..rules.places import (
     AT_START,
     BEGINS,
     BEYOND_BY,
-    CARRIED,
     CURVE_ROWS,
     DRIVERS,
     DUE,
@@ -55,6 +54,7 @@ from ..rules.places import (
     LAND_ON,
     LAST_USED,
     LASTED,
+    LEFT_ALONE,
     LOOK,
     LOW,
     LOW_AHEAD,
@@ -422,7 +422,7 @@ class Machine:
 
     def _series(self) -> Watch:
         """The current series of impacts."""
-        guards, own = self.tables.guards, (int(self.ints[SERIES]), int(self.ints[CARRIED]))
+        guards, own = self.tables.guards, (int(self.ints[SERIES]), int(self.ints[LEFT_ALONE]))
         contact, carried = (guards[guard].edge if guard >= 0 else None for guard in own)
         return Watch(contact, int(self.ints[IMPACT_COUNT]), float(self.floats[TRIED]), carried)
 
@@ -455,7 +455,7 @@ class Machine:
         floats[BEYOND_BY] = driver.jumped.beyond_by if judged else jumped.beyond_by
         ints[GUARD_POWER], ints[LASTED] = power, jumped.series
         ints[SERIES], ints[IMPACT_COUNT] = own.get(contact, -1), driver.watch.count
-        ints[CARRIED] = own.get(driver.watch.carried, -1)
+        ints[LEFT_ALONE] = own.get(driver.watch.carried, -1)
         floats[TRIED], floats[STEPS_LOST] = driver.watch.tried, driver.losses.tolerances
         ints[LOW_AHEAD] = ints[WAS_LOW] = 0
         x, _, seen = self.now[2:5]
