@@ -241,6 +241,20 @@ def test_a_limit_behind_a_knot_is_known_to_the_rounding_there(solver, height, r,
 
 
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_a_limit_behind_a_knot_at_zero_is_known_as_if_there_were_none(solver):
+    """The ball has been at 4.6, whose rounding is far more than the gap is at the knot."""
+    draw = np.random.default_rng(2)
+    for _ in range(60):
+        r, top = draw.uniform(0.1, 0.9), draw.uniform(0.5, 5.0)
+        limit = np.sqrt(0.2 * top) * (1.0 + r) / (1.0 - r)
+        knot = limit - 10 ** draw.uniform(-12.0, -6.0)
+        model = road()(r=r, floor=([0.0, knot, 90.0], [0.0] * 3))
+        run = hy.simulate(model, {"x": top, "v": 0.0}, (0.0, limit + 1.0), solver=solver)
+        (point,) = run.zeno
+        assert abs(point.t - limit) <= point.t_error < 1e-6, (r, top, knot)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
 @pytest.mark.parametrize("r", [0.3, 0.8])
 def test_impacts_that_a_knot_brings_to_rest_are_listed(solver, r):
     """The flight that a knot interrupts may be lower than the rounding of the position."""

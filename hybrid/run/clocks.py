@@ -115,24 +115,17 @@ def rings(
 
 def _comes(driver: Driver, guard: Guard, x: StateVector, t: float) -> bool:
     """Whether a guard comes to zero where a clock rings."""
-    return _is_zero(driver, guard, x, t) and not just_left(driver, guard, x, t)
-
-
-def _is_zero(driver: Driver, guard: Guard, x: StateVector, t: float) -> bool:
-    """Whether a guard is zero where a clock rings. The gap of a series of impacts was zero where
-    its flight began: how large the states have been before that does not matter."""
-    local = guard.edge == driver.watch.contact
-    return is_zero(driver, guard, Instant(t), x, t, 0.0 * driver.seen if local else driver.seen)
+    return is_zero(driver, guard, Instant(t), x, t) and not just_left(driver, guard, x, t)
 
 
 def _before(driver: Driver, fired: Guard, flown: Flown, t: float, x: StateVector) -> bool:
     """Whether a guard that fired is not zero any more where a clock rings; or it may be, as one
     that moves slowly is for long, but another fires between."""
-    if not _is_zero(driver, fired, x, t):
+    if not is_zero(driver, fired, Instant(t), x, t):
         return True
     end = driver.record.now.after(flown.length).t
     for guard in driver.entry.field.guards:
         crosses = guard.value(end, flown.x.tolist()) * guard.value(t, x.tolist()) < 0
-        if crosses and guard is not fired and not _is_zero(driver, guard, x, t):
+        if crosses and guard is not fired and not is_zero(driver, guard, Instant(t), x, t):
             return True
     return False

@@ -262,16 +262,16 @@ def _late(scene: Scene, tail: Tail, since: float) -> float:
     An impact at a gap of ``d`` instead of zero is ``d / u`` early, at the speed ``u``, and faster
     by ``d`` times the force over ``u``: the limit moves by ``(1 + r) / (1 - r)`` times ``d / u``.
     The impacts before it are faster by ``1 / r`` each, and move it by less; in low flights the gap
-    is a coordinate of its own, and has no such rounding. Where the series begins a gap of some more
-    roundings counts as zero; speeds that are small against what lifts a body so high are hidden in
-    it. No run shows that: all round a gap alike.
+    is a coordinate of its own, and has no such rounding. Where a series begins so low, behind a
+    knot or another jump, a gap of some more roundings counts as zero; speeds that are small against
+    what lifts a body so high are hidden in it. No run shows that: all round a gap alike.
     """
     gap, r, x = tail.field.guards[tail.column], tail.r, tail.x.tolist()
     size, pull = float(scene.rounding(gap, tail.field)(tail.t, x)[0]), abs(gap.lie(tail.t, x)[2])
     low = (NEAR * pull * float(np.max(np.abs(tail.x[: scene.spec.flows])))) ** 0.5
     first = 0.5 * pull * (1.0 - r) * (tail.t + tail.remaining - since)
     hidden = (0.125 * pull * GUARD_ROUNDING * EPS * size) ** 0.5
-    most = GUARD_ROUNDING / max(tail.v, first, hidden)
+    most = GUARD_ROUNDING / max(tail.v, first, hidden) if first < low else 0.0
     early = max(1.0 / max(tail.v, min(low, first)), most)
     return EPS * size * early * r * (1.0 + r) / (1.0 - r) ** 2
 

@@ -402,18 +402,12 @@ def describe(scene: Scene, field: Field, t: float, x: StateVector) -> str:
     return f"{scene.spec.model}, mode {field.name}, t = {t!r}, {scene.spec.record(x)}"
 
 
-def is_zero(
-    driver: Driver,
-    guard: Guard,
-    end: Instant,
-    x: StateVector,
-    t: float,
-    seen: StateVector | None = None,
-) -> bool:
+def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
     """Whether a guard that moves in its firing direction is zero at a time, and its condition
-    holds. Zero is meant to spacings of the time, to the rounding of the guard at the largest states
-    ``seen``, and to what the steps have lost."""
-    seen = driver.seen if seen is None else seen
+    holds. Zero is meant to spacings of the time, to the rounding of the guard, and to what the
+    steps have lost. The gap of a series of impacts was zero where its flight began: how large the
+    states have been before that does not matter."""
+    seen = 0.0 * driver.seen if guard.edge == driver.watch.contact else driver.seen
     value, rate, bend = guard.lie(end.t, x.tolist())
     size, _, _ = extent(driver.scene, guard, driver.entry.field, end.t, x, seen)
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
