@@ -245,7 +245,8 @@ def _errors(
         if limit is not None:
             t_error, x_error = t_error + limit.t_error, x_error + limit.x_error
         if isinstance(limit, Tail):
-            late = _late(made.scene, limit, point.since)
+            fresh = made.log.apart()[0][0].t1 >= point.since
+            late = _late(made.scene, limit, point.since, fresh)
             rates = limit.field.rhs(limit.t + limit.remaining, limit.x_inf.tolist())
             t_error, x_error = t_error + late, x_error + late * np.abs(rates)
     for pair in pairs:
@@ -255,9 +256,9 @@ def _errors(
     return float(t_error), record(x_error)
 
 
-def _late(scene: Scene, tail: Tail, since: float) -> float:
+def _late(scene: Scene, tail: Tail, since: float, fresh: bool) -> float:
     """How much the limit of a sum moves by the rounding of the gap at the impacts ``since`` the
-    first of the series.
+    first of the series; ``fresh``: whether that ends the first flight of the run.
 
     An impact at a gap of ``d`` instead of zero is ``d / u`` early, at the speed ``u``, and faster
     by ``d`` times the force over ``u``: the limit moves by ``(1 + r) / (1 - r)`` times ``d / u``.
@@ -271,7 +272,7 @@ def _late(scene: Scene, tail: Tail, since: float) -> float:
     low = (NEAR * pull * float(np.max(np.abs(tail.x[: scene.spec.flows])))) ** 0.5
     first = 0.5 * pull * (1.0 - r) * (tail.t + tail.remaining - since)
     hidden = (0.125 * pull * GUARD_ROUNDING * EPS * size) ** 0.5
-    most = GUARD_ROUNDING / max(tail.v, first, hidden) if first < low else 0.0
+    most = GUARD_ROUNDING / max(tail.v, first, hidden) if first < low and not fresh else 0.0
     early = max(1.0 / max(tail.v, min(low, first)), most)
     return EPS * size * early * r * (1.0 + r) / (1.0 - r) ** 2
 
