@@ -245,8 +245,7 @@ def _errors(
         if limit is not None:
             t_error, x_error = t_error + limit.t_error, x_error + limit.x_error
         if isinstance(limit, Tail):
-            fresh = made.log.apart()[0][0].t1 >= point.since
-            late = _late(made.scene, limit, point.since, fresh)
+            late = _late(made.scene, limit, point.since, made.log.first_end >= point.since)
             rates = limit.field.rhs(limit.t + limit.remaining, limit.x_inf.tolist())
             t_error, x_error = t_error + late, x_error + late * np.abs(rates)
     for pair in pairs:

@@ -211,6 +211,12 @@ class Log:
         own.update({len(kept) + k: row for k, row in jumps.items()})
         return Log([*kept, *more], own)
 
+    @property
+    def first_end(self) -> float:
+        """When the first arc ends."""
+        first = self.kept[0]
+        return float(first.jumps.t[0]) if isinstance(first, Flights) else first.t1
+
     def apart(self) -> tuple[list[Part], dict[int, JumpRow]]:
         """All parts one by one, and the jumps by the index of the part that they end."""
         parts: list[Part] = []

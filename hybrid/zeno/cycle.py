@@ -62,8 +62,8 @@ NEARER = 0.5
 #: By how many times more than before the ratio of successive times left may change with a turn.
 PACE_CHANGE = 4.0
 
-#: How many times what times and states are off by may show in what a turn changes, made of two of
-#: them, each of which has been through all turns before.
+#: By how many times what times and states are off what a turn changes may be off: it is made of two
+#: of them, and the errors of the turns before have come through to both.
 PACE_NOISE = 8.0
 
 #: Safety factor on the change between the last estimates.
@@ -266,9 +266,8 @@ def _estimate(sequence: Numbers, power: bool, moved: Numbers | None = None) -> t
         return now, ESTIMATE_CAUTION * abs(now - before)
     best = (float(sequence[-1]), float("inf"))
     tables = _tables(sequence, power)
-    for estimates, others in zip(
-        tables, _tables(moved, power) if moved is not None else tables, strict=True
-    ):
+    beside = tables if moved is None else _tables(moved, power)
+    for estimates, others in zip(tables, beside, strict=True):
         steps = np.abs(np.diff(estimates))
         for value, other, *two in zip(estimates[2:], others[2:], steps, steps[1:], strict=False):
             error = ESTIMATE_CAUTION * float(max(*two, abs(value - other)))
@@ -278,6 +277,7 @@ def _estimate(sequence: Numbers, power: bool, moved: Numbers | None = None) -> t
 
 
 def _tables(sequence: Numbers, power: bool) -> list[list[float]]:
+    """Estimates from more and more of a sequence, by each transformation that may be exact."""
     levin = _levin(sequence)
     return [levin] if power else [_epsilon(sequence[-POWER_CYCLES:]), levin]
 
