@@ -294,7 +294,7 @@ class Memory:
             return
         for n in range(tail.count + 1):
             arc = part.arc(n)
-            last = n == tail.count or arc.length <= BRIEF_FLIGHT * np.spacing(part.t1)
+            last = n == tail.count or arc.length <= BRIEF_FLIGHT * np.spacing(abs(part.t1))
             if last or self._low(arc, tail.x_inf):
                 break
             self.flown(Instant(arc.t0, arc.low), arc.segments)

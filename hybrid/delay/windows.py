@@ -72,7 +72,7 @@ class Shown:
             guards = known.guards.copy()
             if self.restarts:
                 guards[guards[:, KIND] == RELEASE, TO] = NONE
-            signs = np.zeros((5, len(guards)), dtype=np.int64)
+            signs = np.zeros((6, len(guards)), dtype=np.int64)
             if self._of is not None:
                 signs[:, : self._links.signs.shape[1]] = self._links.signs
             self._of = known

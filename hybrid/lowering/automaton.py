@@ -163,7 +163,7 @@ class Tables:
     def watches(self) -> tuple[np.ndarray, ...]:
         """Arrays for a run's guard data: see :class:`.rules.arrays.Now`, from ``orders`` on."""
         own = np.zeros((2, self.widest), dtype=np.int64)
-        all_ = np.zeros((3, len(self.guards)), dtype=np.int64)
+        all_ = np.zeros((4, len(self.guards)), dtype=np.int64)
         return (*own, np.zeros((self.widest, ZERO_COLUMNS)), *all_)
 
     def complete(self, number: int, column: int, sight: Sight) -> None:

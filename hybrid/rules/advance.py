@@ -32,6 +32,7 @@ from .places import (
     GAP_SPEED,
     GUARD_POWER,
     GUARDS,
+    GUARDS_END,
     HARD,
     HOPS,
     IMPACT_COUNT,
@@ -44,7 +45,6 @@ from .places import (
     LAST_USED,
     LASTED,
     LEAVE,
-    LEFT_ALONE,
     LOW,
     LOW_AHEAD,
     MAKE,
@@ -54,6 +54,7 @@ from .places import (
     PHASE,
     PULL,
     PULLED,
+    RATE,
     REACHES,
     RELEASE,
     RESET,
@@ -70,6 +71,7 @@ from .places import (
     TRIED,
     UNKNOWN,
     URGENT,
+    VALUE,
     WAS_LOW,
     T,
 )
@@ -141,7 +143,7 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     added(now, left, guard, t, low)
     own = a.guards[guard, OWN]
     now.tied[own], now.touched[own], now.spent[own] = 0, 0, now.ints[FLIGHTS]
-    watch(a, run, now, room, guard, to, t, before, behind)
+    watch(a, now, room, guard, to, t, before, behind)
     entered(a, now, to, used, power, t, low, behind)
     return LANDED
 
@@ -303,7 +305,6 @@ def beyond(a: AutomatonArrays, now: Now, guard: int) -> bool:
 
 def watch(
     a: AutomatonArrays,
-    run: Floats,
     now: Now,
     room: Room,
     guard: int,
@@ -312,47 +313,49 @@ def watch(
     before: Floats,
     behind: Floats,
 ) -> None:
-    """Count the impacts of the current series: those of one contact with no other jump between.
-
-    One that is long enough to be summed is noted where a reset ends it that leaves it alone: what
-    follows of it may be hidden by rounding.
-    """
-    own, kind, carried = a.guards[guard, OWN], a.guards[guard, KIND], now.ints[LEFT_ALONE]
-    if kind == CONTACT:
-        if own == now.ints[SERIES]:
-            now.ints[IMPACT_COUNT] += 1
-            return
-        now.ints[SERIES], now.ints[IMPACT_COUNT], now.floats[TRIED] = own, 1, math.inf
-        now.ints[LEFT_ALONE] = own if own == carried else -1
+    """Count the impacts of the current series: those of one contact with no other jump between."""
+    own = a.guards[guard, OWN]
+    interrupted(a, now, room, own, to, t, before, behind)
+    if a.guards[guard, KIND] != CONTACT:
+        now.ints[SERIES], now.floats[PULL] = -1, 0.0
         return
-    if now.ints[SERIES] >= 0 and now.ints[IMPACT_COUNT] >= run[FIRST_SUMMED]:
-        carried = now.ints[SERIES]
-    reset = carried >= 0 and kind in (EDGE, CLOCK)
-    alone = reset and misses(a, now, room, to, carried, t, before, behind)
-    now.ints[LEFT_ALONE] = carried if alone else -1
-    now.ints[SERIES], now.floats[PULL] = -1, 0.0
+    now.impacts[own] += 1
+    now.ints[IMPACT_COUNT] += 1
+    if own != now.ints[SERIES]:
+        now.ints[SERIES], now.ints[IMPACT_COUNT], now.floats[TRIED] = own, 1, math.inf
 
 
-def misses(
+def interrupted(
     a: AutomatonArrays,
     now: Now,
     room: Room,
-    to: int,
     own: int,
+    to: int,
     t: float,
     before: Floats,
     behind: Floats,
-) -> bool:
-    """Whether a reset that leads to a field leaves the gap of a contact and its speed unchanged."""
-    field = now.ints[FIELD]
-    here, there = twin(a, field, own), twin(a, to, own)
-    if here < 0 or there < 0:
-        return False
-    program = a.fields[field, FIELD_PROGRAM]
-    row = row_of(a, program, field, here)
+) -> None:
+    """Forget the impacts of other contacts whose gap or gap speed a jump, which leads to a field,
+    has changed."""
+    field, others = now.ints[FIELD], False
+    program, first = a.fields[field, FIELD_PROGRAM], a.fields[field, GUARDS]
+    for g in range(first, a.fields[field, GUARDS_END]):
+        others = others or (a.guards[g, OWN] != own and now.impacts[a.guards[g, OWN]] > 0)
+    if not others:
+        return
     afresh(a.programs, program, 1, t, before, room.still, room.aside, room.work)
-    gap, speed = room.aside[row, 0], room.aside[row, 1]
+    for g in range(first, a.fields[field, GUARDS_END]):
+        for k in range(2):
+            now.zeros[g - first, VALUE + k] = room.aside[row_of(a, program, field, g), k]
     program = a.fields[to, FIELD_PROGRAM]
-    row = row_of(a, program, to, there)
     afresh(a.programs, program, 1, t, behind, room.still, room.aside, room.work)
-    return gap == room.aside[row, 0] and speed == room.aside[row, 1]
+    for g in range(first, a.fields[field, GUARDS_END]):
+        other = a.guards[g, OWN]
+        there = twin(a, to, other)
+        alone = there >= 0
+        if alone:
+            row = row_of(a, program, to, there)
+            gap, speed = room.aside[row, 0], room.aside[row, 1]
+            alone = gap == now.zeros[g - first, VALUE] and speed == now.zeros[g - first, RATE]
+        if other != own and not alone:
+            now.impacts[other] = 0

@@ -114,6 +114,9 @@ class Now(NamedTuple):
         that it had before its zero that at whose end it was zero beside the one that fired, and
         fires; that after which it has fired; and, with its sign before, that at whose end rounding
         did not tell it from zero.
+    impacts : Ints
+        Of each contact, at its ``OWN``, the impacts since it was at rest, or another jump has
+        changed its gap or gap speed.
     """
 
     floats: Floats
@@ -127,11 +130,12 @@ class Now(NamedTuple):
     tied: Ints
     spent: Ints
     touched: Ints
+    impacts: Ints
 
     @property
-    def noted(self) -> tuple[Ints, Ints, Ints]:
+    def noted(self) -> tuple[Ints, Ints, Ints, Ints]:
         """What is noted of guards from one flight to the next."""
-        return self.tied, self.spent, self.touched
+        return self.tied, self.spent, self.touched, self.impacts
 
 
 class Room(NamedTuple):

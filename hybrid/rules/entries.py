@@ -33,7 +33,6 @@ from .places import (
     KIND,
     LAST_USED,
     LASTED,
-    LEFT_ALONE,
     MADE_OF,
     NONE,
     OWN,
@@ -86,6 +85,7 @@ def starts(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
             c = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)]
             now.orders[g - first], what = start_of(a, run, now, room, g, c)
             if what == RESTS:
+                now.impacts[a.guards[g, OWN]] = 0
                 return joined(a, now, room, g)
             if what == FIRES:
                 fires = g if fires == NONE else fires
@@ -140,8 +140,7 @@ def start_of(
         series = used and own == now.ints[SERIES] and now.ints[IMPACT_COUNT] > 1
         if settles(a, now, room, guard, c, order, sign, size, rate, bend, series):
             # impacts that rounding has brought to rest are an accumulation, which Python lists
-            long = series and now.ints[IMPACT_COUNT] >= run[FIRST_SUMMED]
-            return order, HARD if long or own == now.ints[LEFT_ALONE] else RESTS
+            return order, HARD if now.impacts[own] >= run[FIRST_SUMMED] else RESTS
         low = kind == CONTACT and order == 1 and drowns(c[1], 2.0 * c[2], reach)
         if kind == CONTACT and used:
             now.floats[PULL] = 2.0 * c[2]

@@ -49,7 +49,6 @@ from .places import (
     LACKING_AT,
     LAST_TIME,
     LAST_USED,
-    LEFT_ALONE,
     LOW,
     LOW_AHEAD,
     MADE,
@@ -264,7 +263,7 @@ def begun(a: AutomatonArrays, now: Now, t: float, x: Floats, field: int) -> None
     )
     now.ints[ENTERED], now.ints[PHASE], now.ints[MADE], now.ints[GUARD_POWER] = 0, BEGINS, 0, 1
     now.ints[JUMPS_MADE], now.ints[STEPS_MADE], now.ints[EXPANSIONS], now.ints[TAILS] = 0, 0, 0, 0
-    now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[SHORT], now.ints[LEFT_ALONE] = 0, 0, 0, -1
+    now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[SHORT] = 0, 0, 0
     now.floats[PULL], now.floats[SERIES_REACH], now.floats[STEPS_LOST] = 0.0, 0.0, 0.0
     now.ints[FLIGHTS] += 1  # what was tied, or spent, is so no more
     copied(x, now.x)
@@ -273,6 +272,7 @@ def begun(a: AutomatonArrays, now: Now, t: float, x: Floats, field: int) -> None
     for g in range(now.signs.shape[0]):
         now.signs[g] = 0
     for g in range(now.spent.shape[0]):
+        now.impacts[g] = 0
         now.spent[g] = now.ints[FLIGHTS] if a.guards[g, KIND] == CLOCK else 0
 
 

@@ -272,7 +272,7 @@ def tried(now: Now, past: PastArrays) -> None:
         past.signs[0, g], past.signs[1, g] = now.signs[g], now.orders[g]
     for g in range(now.tied.shape[0]):
         past.signs[2, g], past.signs[3, g] = now.tied[g], now.spent[g]
-        past.signs[4, g] = now.touched[g]
+        past.signs[4, g], past.signs[5, g] = now.touched[g], now.impacts[g]
     past.floats[GUESSED_FROM], past.ints[STEPS_BEFORE] = time(now), past.ints[STEPS_DONE]
 
 
@@ -289,7 +289,7 @@ def back(now: Now, past: PastArrays) -> None:
         now.signs[g], now.orders[g] = past.signs[0, g], past.signs[1, g]
     for g in range(now.tied.shape[0]):
         now.tied[g], now.spent[g] = past.signs[2, g], past.signs[3, g]
-        now.touched[g] = past.signs[4, g]
+        now.touched[g], now.impacts[g] = past.signs[4, g], past.signs[5, g]
     past.ints[STEPS_DONE] = past.ints[STEPS_BEFORE]
 
 

@@ -131,8 +131,7 @@ FLOWING = 23  # the number of states that flow; discrete variables follow
 SHORT = 24  # 1 if the step is made by series of lower order
 PROVED = 25  # 1 if Python has shown that the sum at hand passes over no event
 CUT = 26  # the sign beyond the kink at which a guard jumps, which ends the arc; 0 if none does
-LEFT_ALONE = 27  # the contact (OWN) of a series that jumps have ended which left it alone; or -1
-STATE_INTS = 28
+STATE_INTS = 27
 
 #: Columns of the zeros of guards in a step.
 WHEN = 0  # when the guard fires

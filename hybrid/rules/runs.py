@@ -53,7 +53,6 @@ from .places import (
     JUMPS_MADE,
     LAST_SPEED,
     LAST_TIME,
-    LEFT_ALONE,
     LOCAL,
     LOOK,
     LOW,
@@ -291,12 +290,13 @@ def rests(
     added(now, left, guard, t, low)
     enlarged(now, left.after[place])
     now.ints[FLIGHTS] += 1
-    now.spent[a.guards[guard, OWN]] = now.ints[FLIGHTS]
+    own = a.guards[guard, OWN]
+    now.spent[own], now.impacts[own] = now.ints[FLIGHTS], 0
     if plain:
-        entered(a, now, field, a.guards[guard, OWN], 1, end, rest, x)
+        entered(a, now, field, own, 1, end, rest, x)
     else:
         x[0] = math.nan
-    now.ints[SERIES], now.ints[LEFT_ALONE], now.floats[PULL] = -1, -1, 0.0
+    now.ints[SERIES], now.floats[PULL] = -1, 0.0
     now.ints[PHASE], now.ints[TAILS] = BEGINS, tail + 1
     last = run[REST_AFTER] == ENDS_THERE or tail + 1 == left.sums.shape[0]
     return GOES_ON if plain and not last else FULL

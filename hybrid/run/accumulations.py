@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import attrs
 import numpy as np
 
 from ..automaton.chance import DRAWS
@@ -23,7 +24,7 @@ from ..zeno.cycle import CycleLimit
 from ..zeno.narrow import law_error, seen
 from ..zeno.others import apart
 from . import truncate
-from .entry import Jumped, expand
+from .entry import Entry, Jumped, expand
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -103,17 +104,35 @@ def _remaining(driver: Driver, contact: Contact, x: StateVector, v: float, field
 
 
 def settled(driver: Driver, field: Field, x: StateVector, jumped: Jumped) -> None:
-    """Pass the limit of impacts that rounding has brought to rest: the contact is held where an arc
-    begins, after an impact, at a knot or after a jump that has left it alone, that was to be flown
-    in a ``field`` without it. The force that pulls must last until the limit: where it vanishes,
-    flights may grow again."""
-    name, t = driver.watch.long(driver.plan.patience), driver.t
-    if name is None or name not in set(driver.entry.field.held) - set(field.held):
+    """Pass the limit of impacts that rounding has brought to rest: contacts are held where an arc
+    begins, after an impact, at a knot or after a jump that has left them alone, that was to be
+    flown in a ``field`` without them."""
+    watch, patience, t = driver.watch, driver.plan.patience, driver.t
+    rests = [name for name in driver.entry.field.held if name not in field.held]
+    long = [name for name in rests if watch.impacts.get(name, 0) >= patience]
+    left = {name: _left_at_rest(driver, field, name, x, jumped) for name in long}
+    edges = tuple(name for name, time in left.items() if time < np.inf)
+    if not edges:
+        watch.over(rests)
         return
-    passing, carried = jumped.passing is not None, name == driver.watch.carried
+    late, there = max(left[name] for name in edges), driver.entry.x
+    errors, impacts = 64 * EPS * np.abs(there), sum(watch.impacts[name] for name in edges)
+    found = CycleLimit(edges, 0.0, there, np.nan, 64 * EPS * abs(t) + late, errors, impacts)
+    driver.touched = driver.touched | _beside(driver, field, x, jumped)
+    driver.entry = Entry(field, x, None, [], [])  # up to the limit none of them is held
+    pass_cycle(driver, found, x, field.mode)
+
+
+def _left_at_rest(driver: Driver, field: Field, name: str, x: StateVector, jumped: Jumped) -> float:
+    """How long the impacts of a contact that rounding has brought to rest may still go on; infinite
+    if they may be no series that comes to a limit.
+
+    The force that pulls must last until the limit: where it vanishes, flights may grow again.
+    """
+    t, gap = driver.t, field.guards[field.column(name)]
+    passing, carried = jumped.passing is not None, driver.watch.carried(name)
     if not (passing or carried or (jumped.series and name in jumped.vanishing)):
-        return
-    gap = field.guards[field.column(name)]
+        return np.inf
     height, speed, force = gap.lie(t, x.tolist())
     if passing or carried:  # within a flight; impacts tied with other jumps may be farther off
         off = GUARD_ROUNDING if carried else POSITION_ROUNDING
@@ -121,14 +140,9 @@ def settled(driver: Driver, field: Field, x: StateVector, jumped: Jumped) -> Non
         speed = np.sqrt(speed * speed + 2.0 * (abs(height) + rounding) * max(-force, 0.0))
     left = _remaining(driver, driver.scene.contact(name), x, max(float(speed), 0.0), field)
     if left == np.inf:
-        return
+        return np.inf
     later = x + left * np.array(field.rhs(t, x.tolist()))
-    if not gap.lie(t + left, later.tolist())[2] <= LASTING_PULL * force:
-        return
-    x, errors = driver.entry.x, (64 * EPS * abs(t) + left, 64 * EPS * np.abs(driver.entry.x))
-    found = CycleLimit((name,), 0.0, x, np.nan, *errors, driver.watch.count)
-    driver.touched = driver.touched | _beside(driver, field, x, jumped)
-    pass_cycle(driver, found, x, field.mode)
+    return left if gap.lie(t + left, later.tolist())[2] <= LASTING_PULL * force else np.inf
 
 
 def _beside(driver: Driver, field: Field, x: StateVector, jumped: Jumped) -> dict[str, int]:
@@ -212,7 +226,23 @@ def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> 
     after = _after(driver, found.edges, held)
     if after is not None and not np.isfinite(driver.closed(*after, found.x_inf)).all():
         after = None  # contacts that close on a body from both sides leave it no rest
+    if after is not None:
+        found = attrs.evolve(found, t_error=found.t_error + _unlike(driver, field, found))
     _go_on_from(driver, found, field, found.edges, found.ratio, after, sides)
+
+
+def _unlike(driver: Driver, field: Field, found: CycleLimit) -> float:
+    """How much longer the impacts of a contact may go on that has a gap speed where a cycle of
+    several comes to its limit: of bodies that do not act on each other each has its own."""
+    contacts = driver.scene.contacts.intersection(found.edges)
+    if len(contacts) < 2:
+        return 0.0
+    speeds = {g.edge: g.lie(driver.t, found.x_inf.tolist())[1] for g in field.guards}
+    left = [
+        _remaining(driver, driver.scene.contact(name), found.x_inf, abs(speeds[name]), field)
+        for name in contacts & speeds.keys()
+    ]
+    return max((time for time in left if time < np.inf), default=0.0)
 
 
 def _after(
@@ -254,7 +284,7 @@ def _go_on_from(
         point.limits = tuple(named)
     record.limit_point(point, limit)
     _require_apart(driver, limit.x_inf)
-    driver.watch.reset()
+    driver.watch.over(edges)
     driver.touched, driver.tied = sides, _passed(driver, field, edges, limit.x_inf, sides)
     driver.cycles.forget()
     if rest is None:
@@ -280,7 +310,7 @@ def _since(driver: Driver, tail: Tail) -> float:
 def _rung(clock: Guard, first: float, tail: Tail) -> float:
     """The last time before a sum, but after the first impact, at which a clock rings."""
     assert clock.after is not None
-    x, back, latest = tail.x.tolist(), np.spacing(tail.t), first
+    x, back, latest = tail.x.tolist(), np.spacing(abs(tail.t)), first
     while latest == first and tail.t - back > first:
         back *= 2.0
         t = float(clock.after(max(tail.t - back, first), x))

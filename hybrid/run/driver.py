@@ -169,8 +169,7 @@ class Driver:
             else:
                 self.entry = self._entered(mode, x, jumped, self.seen)
                 self.jumped = jumped
-                if self.watch.carried or (jumped.passing is not None and self.t > self.plan.t0):
-                    settled(self, field, x, jumped)
+                settled(self, field, x, jumped)
             self.seen = np.maximum(self.seen, np.abs(x))
 
     def _lean(self, jumped: Jumped) -> bool:
@@ -339,7 +338,7 @@ class Driver:
         self.renew()
         told = any(self.entry.orders) or self.entry.field is not field
         tries = not judged and self.loop is not None and told
-        if not (self.entry.at_once or tries):
+        if self.status is None and not (self.entry.at_once or tries):
             self.flow_arc()
 
     def renew(self) -> None:
@@ -488,6 +487,15 @@ class Driver:
             if let_go(self, t, x, STRAYS * self.losses.share):
                 return
         self.enter(field.mode, x, Jumped(known, field.held, passing=signs))
+
+    def interrupt(self, edge: str, to: str, before: StateVector, after: StateVector) -> None:
+        """End the series of impacts whose gap or gap speed a jump, which leads to a field, has
+        changed."""
+        if self.watch.impacts:
+            here, there = self.entry.field, self.scene.field(to)
+            self.watch.interrupted(edge, here, there, self.t, before, after)
+        if edge not in self.scene.contacts:
+            self.watch.contact = None
 
     def jump(self, guard: Guard, x: StateVector, carried: bool = False) -> None:
         """Carry out the jump of a guard that fired; ``carried``: it jumped over zero."""

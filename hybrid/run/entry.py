@@ -407,7 +407,7 @@ def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float
     holds. Zero is meant to spacings of the time, to the rounding of the guard, and to what the
     steps have lost. The gap of a series of impacts was zero where its flight began: how large the
     states have been before that does not matter."""
-    seen = 0.0 * driver.seen if guard.edge == driver.watch.contact else driver.seen
+    seen = 0.0 * driver.seen if guard.edge in driver.watch.impacts else driver.seen
     value, rate, bend = guard.lie(end.t, x.tolist())
     size, _, _ = extent(driver.scene, guard, driver.entry.field, end.t, x, seen)
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size

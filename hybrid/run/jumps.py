@@ -77,26 +77,13 @@ def _reset(driver: Driver, guard: Guard, before: StateVector, carried: bool) -> 
     if came.used is None:
         driver.spent -= {guard.edge}
     came.held = driver.still_held(guard.to, after)
-    driver.watch.reset(_left_alone(driver, driver.scene.name(guard.to, came.held), before, after))
     if guard.to == TERMINATE:
         add_jump(driver, guard.edge, before, after)
         driver.status, driver.mode = Status.TERMINATED, driver.entry.field.mode
         return
+    driver.interrupt(guard.edge, driver.scene.name(guard.to, came.held), before, after)
     if not (add_jump(driver, guard.edge, before, after) and pass_limit(driver, guard.to)):
         driver.enter(guard.to, after, came)
-
-
-def _left_alone(driver: Driver, to: str, before: StateVector, after: StateVector) -> str | None:
-    """The contact of a series that is long enough to be summed, if a reset, which leads to a field,
-    leaves its gap and gap speed unchanged."""
-    name = driver.watch.long(driver.plan.patience)
-    if name is None or to == TERMINATE:
-        return None
-    here, there = (
-        [guard.lie(driver.t, x.tolist())[:2] for guard in field.guards if guard.edge == name]
-        for field, x in ((driver.entry.field, before), (driver.scene.field(to), after))
-    )
-    return name if here and here == there else None
 
 
 def came_by(
@@ -150,14 +137,14 @@ def has_jumped(driver: Driver, guard: Guard, x: StateVector) -> bool:
 def _release(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
     field = driver.entry.field
     contact = released(guard.edge)
+    held = tuple(name for name in field.held if name != contact)
     driver.record.released(contact, driver.t)
-    driver.watch.reset()
+    driver.interrupt(guard.edge, driver.scene.name(field.mode, held), x, x)
     add_jump(driver, guard.edge, x, x)
     pulled = carried or (driver.forgets and not _bears_nothing(driver, guard, x))
     known = {contact: PULLED if pulled else RISES}  # the load is negative, not zero
     if carried and opened(driver.scene, field.mode, contact, driver.t, x):
         known = {}
-    held = tuple(name for name in field.held if name != contact)
     driver.enter(field.mode, x, Jumped(known, held))
 
 
@@ -222,9 +209,11 @@ def bounce(
     while True:
         held = driver.still_held(guard.to, after)
         after = driver.closed(guard.to, held, after)
+        mode = driver.scene.name(guard.to, held)
+        driver.interrupt(guard.edge, mode, before, after)
         driver.watch.saw(guard.edge)
         due = add_jump(driver, guard.edge, before, after)
-        driver.mode = driver.scene.name(guard.to, held)
+        driver.mode = mode
         contact = driver.scene.contact(guard.edge)
         if driver.status is not None:
             return

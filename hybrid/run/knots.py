@@ -55,7 +55,7 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
     over = next((guard for guard in off.values() if _is_over(guard, signs, t, x)), None)
     driver.cycles.forget()
     if over is not None:
-        _leave(driver, over.edge, x)
+        _leave(driver, over.edge, over.to, x)
         driver.enter(over.to, x, Jumped())
     elif not let_go(driver, t, x):
         known = {edge: power for edge, power in known.items() if edge not in off}
@@ -80,19 +80,19 @@ def let_go(driver: Driver, t: float, x: StateVector, lost: float = 0.0) -> bool:
     open_ = [contact for contact in field.held if opened(scene, field.mode, contact, t, x, lost)]
     for contact in open_:
         driver.record.released(contact, t)
-        _leave(driver, f"{contact}{RELEASE_SUFFIX}", x)
+        _leave(driver, f"{contact}{RELEASE_SUFFIX}", field.mode, x)
     if gone is not None:
-        _leave(driver, gone.edge, x)
+        _leave(driver, gone.edge, gone.to, x)
         driver.enter(gone.to, x, Jumped())
     elif open_:
         driver.enter(field.mode, x, Jumped(held=tuple(c for c in field.held if c not in open_)))
     return gone is not None or bool(open_)
 
 
-def _leave(driver: Driver, edge: str, x: StateVector) -> None:
+def _leave(driver: Driver, edge: str, to: str, x: StateVector) -> None:
     """Add a jump that does not change the state, after an arc of no length."""
     driver.record.arc(driver.entry.field, x, x, 0.0, [])
-    driver.watch.reset()
+    driver.interrupt(edge, to, x, x)
     add_jump(driver, edge, x, x)
 
 

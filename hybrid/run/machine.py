@@ -54,7 +54,6 @@ from ..rules.places import (
     LAND_ON,
     LAST_USED,
     LASTED,
-    LEFT_ALONE,
     LOOK,
     LOW,
     LOW_AHEAD,
@@ -422,9 +421,14 @@ class Machine:
 
     def _series(self) -> Watch:
         """The current series of impacts."""
-        guards, own = self.tables.guards, (int(self.ints[SERIES]), int(self.ints[LEFT_ALONE]))
-        contact, carried = (guards[guard].edge if guard >= 0 else None for guard in own)
-        return Watch(contact, int(self.ints[IMPACT_COUNT]), float(self.floats[TRIED]), carried)
+        edges, contact = [guard.edge for guard in self.tables.guards], int(self.ints[SERIES])
+        counts = self.now.impacts[: len(edges)]
+        return Watch(
+            edges[contact] if contact >= 0 else None,
+            int(self.ints[IMPACT_COUNT]),
+            float(self.floats[TRIED]),
+            {edges[g]: int(counts[g]) for g in np.flatnonzero(counts).tolist()},
+        )
 
     def _begin(self) -> None:
         """Put the driver's entry into the loop's arrays."""
@@ -455,13 +459,14 @@ class Machine:
         floats[BEYOND_BY] = driver.jumped.beyond_by if judged else jumped.beyond_by
         ints[GUARD_POWER], ints[LASTED] = power, jumped.series
         ints[SERIES], ints[IMPACT_COUNT] = own.get(contact, -1), driver.watch.count
-        ints[LEFT_ALONE] = own.get(driver.watch.carried, -1)
         floats[TRIED], floats[STEPS_LOST] = driver.watch.tried, driver.losses.tolerances
         ints[LOW_AHEAD] = ints[WAS_LOW] = 0
         x, _, seen = self.now[2:5]
         x[:], seen[:], ints[FLIGHTS] = entry.x, driver.seen, 1
         self._forget()
         self.now.orders[: len(entry.orders)] = entry.orders
+        for name in driver.watch.impacts.keys() & own.keys():
+            self.now.impacts[own[name]] = driver.watch.impacts[name]
         noted = driver.tied or driver.spent or driver.touched
         for g, guard in enumerate(self.tables.guards if noted else ()):
             self.now.tied[g] = driver.tied.get(guard.edge, 0)

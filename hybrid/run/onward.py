@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -80,10 +81,12 @@ def _recall(driver: Driver, run: Solution, place: int, arc: Arc, row: JumpRow) -
     guard = field.guard(row.edge)
     clock = cycles.clock(scene, field, guard, arc.t0, arc.first, arc.length)
     note(driver, Columns.of(row.edge, arc.mode, row.t, row.low, clock, row.after))
+    there = scene.field(run.parts[place + 1].mode)
+    driver.watch.interrupted(row.edge, field, there, row.t, row.before, row.after)
     if row.edge in driver.scene.contacts:
         driver.watch.saw(row.edge)
     else:
-        driver.watch.reset()
+        driver.watch.contact = None
     driver.spent = frozenset((row.edge,)) | (frozenset() if arc.length else driver.spent)
 
 
@@ -95,8 +98,7 @@ def _came(driver: Driver, run: Solution, arc: Arc) -> Jumped:
     row = run.own_jumps.get(len(run.parts) - 2)
     row = None if row and row.edge.endswith(HOLDING) else row  # as after an accumulation
     young = arc.length <= TIE * np.spacing(abs(arc.t0))
-    if not (young and row):
-        driver.spent = frozenset()
+    driver.spent = (driver.spent if young and row else frozenset()) | _just_fired(driver, run)
     jumped = _after(driver, arc, run.parts[-2], row) if young and row else Jumped()
     if not arc.length:
         flown = next((part for part in reversed(run.parts) if part.t1 > part.t0), None)
@@ -111,6 +113,14 @@ def _came(driver: Driver, run: Solution, arc: Arc) -> Jumped:
     signs = signs_at_end(end, arc.t1, arc.last, float(run.size.max()))
     signs = {g.edge: signs[g.edge] for g in end.field.guards if g.kind != "window"}
     return attrs.evolve(jumped, held=arc.held, passing=signs)
+
+
+def _just_fired(driver: Driver, run: Solution) -> frozenset[str]:
+    """The events and clocks that have fired where a run ended, but for the rounding of their
+    guards, be it before an accumulation."""
+    near = GUARD_ROUNDING * np.spacing(abs(driver.t))
+    rows = takewhile(lambda row: driver.t - row.t <= near, reversed(run.own_jumps.values()))
+    return frozenset(row.edge for row in rows) - driver.scene.contacts
 
 
 def _scenes(driver: Driver, run: Solution) -> Callable[..., Scene]:

@@ -50,7 +50,9 @@ class Pace:
         many = left > STEPS_LEFT * mean > 0.0
         if many and any(self._leads_back(k, end, x, mean) for k in self._jumps()):
             raise FlowError(f"after {self.count} steps the last are of {mean:.3g}: {LEADS_BACK}")
-        stuck = mean <= FEW_STEPS * np.spacing(end)  # the time itself tells no shorter ones apart
+        stuck = mean <= FEW_STEPS * np.spacing(
+            abs(end)
+        )  # the time itself tells no shorter ones apart
         if (stuck or self.falls >= ROWS) and left > STEPS_LEFT * last:
             raise FlowError(
                 f"the steps become ever shorter: {self.count} in this arc, the last of "

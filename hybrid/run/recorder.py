@@ -232,7 +232,7 @@ class Recorder:
         if len(clocks) < CAUGHT:
             return
         last = clocks[CAUGHT - 1 :]
-        caught = last - clocks[: 1 - CAUGHT] <= 4 * CAUGHT * np.spacing(last)
+        caught = last - clocks[: 1 - CAUGHT] <= 4 * CAUGHT * np.spacing(abs(last))
         if not caught.any():
             self._stuck = CAUGHT - 1
             return

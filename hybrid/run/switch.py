@@ -26,7 +26,7 @@ def meet(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
     scene, here = driver.scene, driver.entry.field
     slides = scene.spec.sliding(here.mode) is not None
     if carried and not slides and jumped_over(scene, here, guard, driver.t, x):
-        driver.watch.reset()
+        driver.interrupt(guard.edge, guard.to, x, x)
         if not (add_jump(driver, guard.edge, x, x) and pass_limit(driver, guard.to)):
             driver.enter(guard.to, x, Jumped())
         return
@@ -35,7 +35,7 @@ def meet(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
     if field.project is not None:
         x = np.array(field.project(driver.t, x.tolist()))
         driver.record.end_on(x)
-    driver.watch.reset()
+    driver.interrupt(guard.edge, mode, x, x)
     if add_jump(driver, guard.edge, x, x) and pass_limit(driver, mode):
         return
     driver.enter(mode, x, Jumped(vanishing(guard, field)))
@@ -45,7 +45,7 @@ def leave(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
     """Sliding ends. In the mode that follows, the surface function and its rate vanish, but where
     a flow, or the surface, has jumped (``carried``)."""
     overdue = carried or bool(driver.entry.at_once) or driver.forgets
-    driver.watch.reset()
+    driver.interrupt(guard.edge, guard.to, x, x)
     add_jump(driver, guard.edge, x, x)
     known = vanishing(guard, driver.scene.field(guard.to))
     known = dict.fromkeys(known, 1) if overdue else known

@@ -58,7 +58,7 @@ def hold(driver: Driver, contact: Contact, x: StateVector, field: Field) -> bool
     point = Accumulation(t, state, ratio, edges, "truncated", after.name, record.j)
     point.truncation = cut
     record.limit_point(point, None)
-    driver.watch.reset()
+    driver.watch.over(edges)
     add_jump(driver, contact.name + HOLDING, x, still)
     driver.enter(field.mode, still, Jumped(held=held))
     return True
@@ -78,7 +78,8 @@ def _left_out(
     full.scene = driver.scene
     memory = driver.record.memory
     full.record.memory = memory.fork() if memory is not None else None
-    full.record.now, full.watch.contact, full.watch.count = driver.record.now, contact.name, 1
+    full.record.now = driver.record.now
+    full.watch.saw(contact.name)
     column = field.column(contact.name)
     full.fly_on(field, field.guards[column], x)
     full.go_on()

@@ -1,34 +1,74 @@
-"""Series of impacts of one contact, which may be summed."""
+"""Series of impacts, which may be summed."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
 import attrs
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
+    from ..lowering import Field
 
 
 @attrs.define
 class Watch:
-    """A series of impacts of one contact, with no other jump between.
+    """The impacts of a run.
 
-    ``carried``: the contact of a series, long enough to be summed, that jumps have ended which left
-    its gap and gap speed alone.
+    Attributes
+    ----------
+    contact, count : str, int
+        The contact of the last jump, and its impacts with no other jump between; none if the last
+        jump was no impact.
+    tried : float
+        The gap speed at which a sum of these was tried last.
+    impacts : dict
+        Of each contact, the impacts since it was at rest, or another jump has changed its gap or
+        gap speed.
     """
 
     contact: str | None = None
     count: int = 0
     tried: float = float("inf")
-    carried: str | None = None
+    impacts: dict[str, int] = attrs.Factory(dict)
 
     def saw(self, edge: str) -> None:
-        """Count an impact; start anew where it is another contact's."""
+        """Count an impact; a series begins where it is another contact's."""
         if edge != self.contact:
             self.contact, self.count, self.tried = edge, 0, float("inf")
-            self.carried = edge if edge == self.carried else None
         self.count += 1
+        self.impacts[edge] = self.impacts.get(edge, 0) + 1
 
-    def long(self, patience: float) -> str | None:
-        """The contact of a series that is long enough to be summed, be it carried."""
-        return self.contact if self.contact and self.count >= patience else self.carried
+    def over(self, contacts: Collection[str]) -> None:
+        """Some contacts have come to rest."""
+        if self.contact in contacts:
+            self.contact = None
+        for name in contacts:
+            self.impacts.pop(name, None)
 
-    def reset(self, carried: str | None = None) -> None:
-        """Another jump came between, which has left the contact ``carried`` alone."""
-        self.contact, self.carried = None, carried
+    def carried(self, name: str) -> bool:
+        """Whether other jumps came between the impacts of a contact, and left it alone."""
+        return self.contact != name or self.impacts[name] > self.count
+
+    def interrupted(
+        self,
+        edge: str,
+        here: Field,
+        there: Field,
+        t: float,
+        before: StateVector,
+        after: StateVector,
+    ) -> None:
+        """Forget the impacts of other contacts whose gap or gap speed a jump, which leads from one
+        field to another, has changed."""
+        others = self.impacts.keys() - {edge}
+        if not others:
+            return
+        was, is_ = (
+            {g.edge: g.lie(t, x.tolist())[:2] for g in field.guards if g.edge in others}
+            for field, x in ((here, before), (there, after))
+        )
+        for name in others:
+            if name not in was or was[name] != is_.get(name):
+                del self.impacts[name]
