@@ -258,6 +258,44 @@ def test_an_urgent_edge_fires_beyond_zero_as_often_as_it_must(way):
     assert result.final.x == pytest.approx(0.5, abs=1e-12)
 
 
+class Tired(hy.Automaton):
+    """A ball that bounces under a weaker force once its energy is below a bound."""
+
+    x = hy.state()
+    v = hy.state()
+    least: float = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def strong(self, t, s):
+        return s.v, -8.0
+
+    @hy.mode
+    def weak(self, t, s):
+        return s.v, -4.0
+
+    hard = hy.contact(strong, gap=lambda self, t, s: s.x, restitution=0.5)
+    soft = hy.contact(weak, gap=lambda self, t, s: s.x, restitution=0.5)
+    tires = hy.edge(
+        strong, to=weak, guard=lambda self, t, s: s.v**2 / 2 + 8.0 * s.x - self.least, urgent=True
+    )
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+@pytest.mark.parametrize("impacts", [3, 10, 20, 22, 24, 31, 40])
+@pytest.mark.parametrize("share", [0.9999, 0.9, 0.3])
+def test_an_urgent_edge_fires_when_a_quantity_kept_by_the_flow_falls_below_a_bound(
+    share, impacts, solver
+):
+    """That is told by what the quantity is, not by how large its terms have been before."""
+    least = share * 8.0 * 0.25 ** (impacts - 1)  # from a height of one, whose energy is 8
+    run = hy.simulate(Tired(least=least), {"x": 1.0, "v": 0.0}, (0.0, 4.0), solver=solver)
+    assert [row.edge for row in run.jumps].index("tires") == impacts
+    # falls for 0.5, flies for 0.5, 0.25, ..., and then twice as long as it would have
+    switched = 1.5 - 0.5 ** (impacts - 1)
+    (point,) = run.zeno
+    assert abs(point.t - (switched + 2.0 * 0.5 ** (impacts - 1))) <= point.t_error < 1e-9
+
+
 @ways
 @pytest.mark.parametrize("full", [2, 3])
 def test_an_urgent_edge_whose_own_jumps_lead_to_zero_fires_there(way, full):

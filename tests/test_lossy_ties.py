@@ -196,3 +196,36 @@ def test_a_limit_at_the_time_of_another_event_is_listed(solver, where, ball):
     assert np.all(np.diff(run.jumps.t) >= 0.0)
     times = [jump.t for jump in run.jumps if jump.edge == "tick"]
     assert times == ([limit] if where == "clock" else [])
+
+
+class Counting(hy.Automaton):
+    """A ball, and an event at a time, declared after the contact, that throws it up."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    r: float = hy.parameter(0.5)
+    at: float = hy.parameter(1.0)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -14.2, 1.0
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution="r")
+
+    @hy.edge(flight, guard=lambda self, t, s: self.at - s.y)
+    def kick(self, t, s):
+        return s.replace(y=s.y - 10.0, v=s.v + 1.0)
+
+
+@pytest.mark.parametrize("solver", ["scipy", "diffrax", "taylor"])
+@pytest.mark.parametrize("before", [1e-10, 1e-11, 4e-12, 2e-12, -2e-12, -1e-11])
+@pytest.mark.parametrize("r", [0.5, 0.57, 0.7])
+def test_events_of_a_polynomial_are_told_apart(r, before, solver):
+    """A state near zero has not lost more for being small."""
+    fall = math.sqrt(2 * 1.85 / 14.2)
+    model = Counting(r=r, at=fall * (1.0 + 2.0 * r) - before)
+    options = {"solver": solver, "rtol": 1e-10, "atol": 1e-12}
+    run = hy.simulate(model, {"x": 1.85, "v": 0.0, "y": 0.0}, (0.0, 6.0), **options)
+    edges = [row.edge for row in run.jumps]
+    assert edges.index("kick") == (1 if before > 0.0 else 2)

@@ -617,6 +617,35 @@ def test_a_function_of_a_model_with_two_signals_has_derivatives(solver):
     assert slope == pytest.approx(math.exp(0.2 + 0.5 * (0.3 + 0.25) / 2), rel=10 * CLOSE[solver])
 
 
+class Lifted(hy.Automaton):
+    """A ball under a force that is data, and held outside them."""
+
+    x = hy.state()
+    v = hy.state()
+    force = hy.signal(kind="previous", outside="hold")
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -10.0 + self.force(t)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+
+@pytest.mark.parametrize("end", [1.5, 2.5])
+def test_a_function_has_derivatives_where_a_signal_holds_its_first_value(end):
+    """An impact before the first of the data lies on no knot."""
+    values = [2.0, 1.0, 3.0]
+    slopes = []
+    with jax.enable_x64(True):
+        for first in (1.2, 0.0):
+            model = Lifted(force=([first, 2.0, 3.0], values))
+            f = hy.as_function(model, t=(0.0, end), max_jumps=100)
+            slope = jax.grad(lambda x, m=model, f=f: f(m, {"x": x, "v": 0.0}).final.x)
+            slopes.append(float(slope(3.0)))
+    assert slopes[0] == pytest.approx(slopes[1], rel=1e-12)
+    assert slopes[0] != 0.0
+
+
 def test_a_function_has_the_data_that_it_was_made_with():
     """Others are refused; so is a second derivative, with a sentence."""
     made = road()

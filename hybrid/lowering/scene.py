@@ -99,7 +99,9 @@ class Scene:
     def span(self, t: float) -> tuple[float, float]:
         """The time interval around ``t`` on which the signal pieces do not change."""
         begun = (float(each.pieces(np.array([t]))[0, 0]) for each in self.samples)
-        return max((s for s in begun if s <= t), default=t), float(self.knots(t, math.inf, 1)[1])
+        return max((s for s in begun if s <= t), default=-math.inf), float(
+            self.knots(t, math.inf, 1)[1]
+        )
 
     def pieces(self, times: np.ndarray) -> np.ndarray:
         """The numbers of the signal pieces at some times, one row per time."""

@@ -342,6 +342,8 @@ def start(
     for k in range(max(least, HIGHER), c.shape[0]):
         if abs(c[k]) * own**k > GUARD_ROUNDING * EPS * most:
             return k, 1 if c[k] > 0.0 else -1
+    if least == 0 and fast == math.inf and abs(value) > GUARD_ROUNDING * EPS * size:
+        return 0, 1 if value > 0.0 else -1  # it stays what it is, which is not rounding here
     return c.shape[0], 0
 
 

@@ -339,11 +339,12 @@ def near(a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int, t: f
 
 
 def loses(run: Floats, now: Now, room: Room, h: float) -> float:
-    """What another solver's step has lost, in tolerances: how far its end is from that of series
-    of the flow, which ``room.c`` has; where these have not converged, one."""
+    """What another solver's step has lost, in tolerances of the largest states, as
+    :func:`hidden_of` takes them: how far its end is from that of series of the flow, which
+    ``room.c`` has; where these have not converged, one."""
     most, order = 0.0, room.c.shape[1] - 1
     for i in range(now.x.shape[0]):
-        allowed = run[TOLERANCES + i] + run[RELATIVE] * abs(now.end[i])
+        allowed = run[TOLERANCES + i] + run[RELATIVE] * max(now.seen[i], abs(now.end[i]))
         if not behind(room.c[i], h) <= allowed:
             return 1.0
         value, _ = power_value(room.c[i], 0, order, h)

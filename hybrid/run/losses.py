@@ -23,7 +23,7 @@ MAY_HIDE = ("edge", "contact", "switch")
 
 
 class Losses:
-    """What has been lost so far, in tolerances.
+    """What has been lost so far, in tolerances of the largest states.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Losses:
         """Add what a step has lost that began at a local time, in a state: how far its end is from
         that of series of the flow; where there are none that have converged, a tolerance."""
         series, length, end = expand(field, t + start, x), stepper.tau - start, stepper.x
-        allowed, lost = self.plan.atol + self.plan.rtol * np.abs(end), 1.0
+        allowed, lost = self.plan.atol + self.plan.rtol * np.maximum(self.seen, np.abs(end)), 1.0
         if series is not None:
             c = np.array(series[0])
             left = np.array([behind(row, length) for row in c])
