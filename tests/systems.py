@@ -402,3 +402,28 @@ class PutBack(hy.Automaton):
     @hy.edge(flight, to=flight, guard=lambda self, t, s: s.y)
     def impact(self, t, s):
         return s.replace(y=0.0, v=-s.v)
+
+
+class Shelf(hy.Automaton):
+    """A ball on a shelf, an event and clocks that only count."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.discrete(0)
+    r: float = hy.parameter(0.5)
+    event: float = hy.parameter(1.0)
+    ring: float = hy.parameter(2.0)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -8.0
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - 20.0, restitution="r")
+
+    @hy.edge(flight, guard=lambda self, t, s: self.event - t)
+    def tick(self, t, s):
+        return s.replace(n=s.n + 1)
+
+    @hy.edge(flight, at="ring")
+    def tock(self, t, s):
+        return s.replace(n=s.n + 1)

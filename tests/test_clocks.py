@@ -11,7 +11,7 @@ import pytest
 import hybrid as hy
 
 from .contract.ways import WAYS
-from .systems import without_loop
+from .systems import Shelf, without_loop
 
 SOLVERS = ["taylor", "scipy", "diffrax"]
 
@@ -484,31 +484,6 @@ def test_a_clock_behind_the_end_of_a_run_does_not_ring(solver):
     assert run.final.count == 2.0
 
 
-class Ticking(hy.Automaton):
-    """A ball on a shelf, an event and clocks that only count."""
-
-    x = hy.state()
-    v = hy.state()
-    n = hy.discrete(0)
-    r: float = hy.parameter(0.5)
-    event: float = hy.parameter(1.0)
-    ring: float = hy.parameter(2.0)
-
-    @hy.mode
-    def flight(self, t, s):
-        return s.v, -8.0
-
-    impact = hy.contact(flight, gap=lambda self, t, s: s.x - 20.0, restitution="r")
-
-    @hy.edge(flight, guard=lambda self, t, s: self.event - t)
-    def tick(self, t, s):
-        return s.replace(n=s.n + 1)
-
-    @hy.edge(flight, at="ring")
-    def tock(self, t, s):
-        return s.replace(n=s.n + 1)
-
-
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("looped", [True, False])
 @pytest.mark.parametrize("r", [0.3, 0.8])
@@ -535,7 +510,7 @@ def test_a_jump_shortly_before_a_limit_leaves_it_listed(
     if not looped:
         without_loop(monkeypatch)
     limit = 0.5 * (1.0 + r) / (1.0 - r)
-    model = Ticking(r=r, event=max(limit - event, -1.0), ring=max(limit - ring, -1.0))
+    model = Shelf(r=r, event=max(limit - event, -1.0), ring=max(limit - ring, -1.0))
     run = hy.simulate(model, {"x": 21.0, "v": 0.0}, (0.0, 5.0), solver=solver, rtol=1e-12)
     (point,) = run.zeno
     assert abs(point.t - limit) <= point.t_error <= 1e-4
@@ -548,7 +523,7 @@ def test_an_event_fires_once_a_few_roundings_before_a_clock(solver):
     """It is still zero, but for rounding, when the clock rings."""
     for spacings in (1, 3, 10, 30, 60, 100):
         ring = 1.25 + spacings * np.spacing(1.25)
-        model = Ticking(r=0.9, event=1.25, ring=ring)
+        model = Shelf(r=0.9, event=1.25, ring=ring)
         run = hy.simulate(model, {"x": 21.0, "v": 0.0}, (0.0, 2.0), solver=solver)
         assert [row.edge for row in run.jumps if row.edge != "impact"] == ["tick", "tock"]
 

@@ -16,7 +16,7 @@ from models.two_tanks import TwoTanks
 
 from .contract.ways import SOLVERS
 from .delayed import Ball, Kicked
-from .systems import Counter, Thermostat
+from .systems import Counter, Shelf, Thermostat
 
 #: Each run with the times at which it is cut: while flying, among impacts, near a limit, at rest,
 #: while sliding; at an impact, at a limit and where a lag arrives, to the last bit.
@@ -178,31 +178,6 @@ def test_two_edges_at_one_time_are_parted(count):
     the_same(run, whole)
 
 
-class Counted(hy.Automaton):
-    """A ball on a shelf, an event and a clock that only count."""
-
-    x = hy.state()
-    v = hy.state()
-    n = hy.discrete(0)
-    r: float = hy.parameter(0.5)
-    event: float = hy.parameter(9.0)
-    ring: float = hy.parameter(9.0)
-
-    @hy.mode
-    def flight(self, t, s):
-        return s.v, -8.0
-
-    impact = hy.contact(flight, gap=lambda self, t, s: s.x - 2.0, restitution="r")
-
-    @hy.edge(flight, guard=lambda self, t, s: self.event - t)
-    def tick(self, t, s):
-        return s.replace(n=s.n + 1)
-
-    @hy.edge(flight, at="ring")
-    def tock(self, t, s):
-        return s.replace(n=s.n + 1)
-
-
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
 @pytest.mark.parametrize("jumps", [(), ("event",), ("ring",), ("event", "ring")])
 @pytest.mark.parametrize("before", [1e-4, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12])
@@ -211,8 +186,8 @@ def test_a_run_cut_shortly_before_a_limit_lists_it(r, before, jumps, solver):
     """Be it at a jump, which does not fire again; what is lower than rounding rests there."""
     limit = 0.5 * (1.0 + r) / (1.0 - r)
     cut, options = limit - before, {"solver": solver, "rtol": 1e-12}
-    model = Counted(r=r, **dict.fromkeys(jumps, cut))
-    first = hy.simulate(model, {"x": 3.0, "v": 0.0}, (0.0, cut), **options)
+    model = Shelf(r=r, **(dict.fromkeys(("event", "ring"), 9.0) | dict.fromkeys(jumps, cut)))
+    first = hy.simulate(model, {"x": 21.0, "v": 0.0}, (0.0, cut), **options)
     run = first + hy.simulate(model, first, (cut, 5.0), **options)
     (point,) = run.zeno
     assert abs(point.t - limit) <= point.t_error
