@@ -355,52 +355,30 @@ class Driver:
 
     def flow_arc(self) -> None:
         """Flow an arc step by step and carry out the jump that ends it."""
-        entry, now, memory = self.entry, self.record.now, self.record.memory
-        _, due = clocks.due(self, entry.field, entry.x)
-        until, self.losses.seen = self.horizon_before(due), self.seen
-        known, jumped = (self.scene, self.flies, self.plan, entry, now, until), self.jumped
-        carried = jumped.used if jumped.beyond_by else None
-        arc = ArcFlow(*known, self.losses, carried, jumped.spent)
-        flown = arc.run()
-        self.steps += flown.steps
-        if memory is not None:
-            flown = attrs.evolve(flown, segments=memory.refined(entry.field, now, flown.segments))
-            other = memory.confirm(now, flown.length, flown.segments)
-            if other is not None:
-                self.scene = other
-                self.enter(entry.field.mode, entry.x, self.jumped)
-                return
-        for tau, index, state in flown.grazes:
-            record = self.scene.spec.record(state)
-            edge = entry.field.guards[index].edge
-            self.record.grazings.append(Jump(now.t + tau, self.record.j, edge, record, record))
-        fired = None if flown.fired is None else entry.field.guards[flown.fired]
+        field, clock, tied = self.entry.field, None, False
+        _, due = clocks.due(self, field, self.entry.x)
+        until = self.horizon_before(due)
+        flown = self._flown(until)
+        if flown is None:
+            return
+        fired = None if flown.fired is None else field.guards[flown.fired]
         at_clock = due == until and not flown.interrupted
-        clock, tied = None, False
         if at_clock:
             flown = self._gather(flown, due)
             x = self._up_to(flown, due)
             clock, fired, tied = clocks.rings(self, due, fired, flown, x)
             flown = attrs.evolve(flown, x=x) if clock is not None or tied else flown
-        by = at_clock and clock is None and fired is None and due < self.plan.t1
+        if at_clock and clock is None and fired is None and due < self.plan.t1:
+            self._extend(flown)
+            clocks.go_by(self, due, field.at_end(due, flown.x))
+            return
         if clock is None and fired is not None and self._waits(fired, flown):
             fired = None
-        if by or (clock is None and self._passes(fired, flown)):
-            end = self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
-            self.passed(flown.length)
-            if by:
-                clocks.go_by(self, due, entry.field.at_end(due, flown.x))
-            else:
-                self.pass_window(fired, end if entry.field.leans else flown.x)
+        if clock is None and self._passes(fired, flown):
+            end = self._extend(flown)
+            self.pass_window(fired, end if field.leans else flown.x)
             return
-        x = self.record.arc(
-            entry.field, entry.x, flown.x, flown.length, flown.segments, flown.carried
-        )
-        if self.plan.progress is not None:
-            self.plan.progress(self.t)
-        self.tied, self.touched = flown.tied, flown.touched
-        self.passed(flown.length)
-        self.spent |= flown.over
+        x = self._end(flown)
         if clock is not None:
             self.ring(clock, due, x)
         elif fired is None:
@@ -409,6 +387,45 @@ class Driver:
             self.record.now = Instant(due) if tied else self.record.now
             self.beyond_by = flown.beyond_by
             self.jump(fired, x, flown.carried)
+
+    def _flown(self, until: float) -> Flown | None:
+        """Flow an arc until a time at the latest; None if the windows of the past were guessed
+        wrong, and the arc begins anew with others."""
+        entry, now, memory, jumped = self.entry, self.record.now, self.record.memory, self.jumped
+        self.losses.seen = self.seen
+        known = (self.scene, self.flies, self.plan, entry, now, until, self.losses)
+        flown = ArcFlow(*known, jumped.used if jumped.beyond_by else None, jumped.spent).run()
+        self.steps += flown.steps
+        if memory is not None:
+            flown = attrs.evolve(flown, segments=memory.refined(entry.field, now, flown.segments))
+            other = memory.confirm(now, flown.length, flown.segments)
+            if other is not None:
+                self.scene = other
+                self.enter(entry.field.mode, entry.x, self.jumped)
+                return None
+        for tau, index, state in flown.grazes:
+            record = self.scene.spec.record(state)
+            edge = entry.field.guards[index].edge
+            self.record.grazings.append(Jump(now.t + tau, self.record.j, edge, record, record))
+        return flown
+
+    def _extend(self, flown: Flown) -> StateVector:
+        """Record a part of an arc that goes on; returns the state at its end."""
+        known = self.entry.field, self.entry.x, flown.x
+        end = self.record.extend(*known, flown.length, flown.segments)
+        self.passed(flown.length)
+        return end
+
+    def _end(self, flown: Flown) -> StateVector:
+        """Record an arc, and what was zero where it ends; returns the state there."""
+        known = self.entry.field, self.entry.x, flown.x
+        x = self.record.arc(*known, flown.length, flown.segments, flown.carried)
+        if self.plan.progress is not None:
+            self.plan.progress(self.t)
+        self.tied, self.touched = flown.tied, flown.touched
+        self.passed(flown.length)
+        self.spent |= flown.over
+        return x
 
     def _up_to(self, flown: Flown, due: float) -> StateVector:
         """The state in which a clock rings, after an arc that may end a little before, where a
