@@ -10,6 +10,7 @@ import numpy as np
 from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
 from ..lowering import Contact, Field, Guard
+from ..rules import unit
 from ..rules.entries import LIMIT_SPEED, POSITION_ROUNDING
 from ..rules.guards import GUARD_ROUNDING
 from ..rules.sums import LEAST_LOSS
@@ -90,8 +91,8 @@ def _settles(driver: Driver, contact: Contact, x: StateVector, v: float, field: 
         left = _remaining(driver, contact, x, v, field)
         if left == np.inf:
             return False
-    found = CycleLimit((contact.name,), 0.0, x_inf, np.nan, EPS * abs(t) + left, error, watch.count)
-    pass_cycle(driver, found, x, field.mode)
+    found = CycleLimit((contact.name,), 0.0, x_inf, np.nan, EPS * abs(t), error, watch.count)
+    pass_cycle(driver, found, x, field.mode, left)
     return True
 
 
@@ -117,10 +118,11 @@ def settled(driver: Driver, field: Field, x: StateVector, jumped: Jumped) -> Non
         return
     late, there = max(left[name] for name in edges), driver.entry.x
     errors, impacts = 64 * EPS * np.abs(there), sum(watch.impacts[name] for name in edges)
-    found = CycleLimit(edges, 0.0, there, np.nan, 64 * EPS * abs(t) + late, errors, impacts)
+    driver.hides(t + late, late * np.abs(field.rhs(t, x.tolist())))
+    found = CycleLimit(edges, 0.0, there, np.nan, 64 * EPS * abs(t), errors, impacts)
     driver.touched = driver.touched | _beside(driver, field, x, jumped)
     driver.entry = Entry(field, x, None, [], [])  # up to the limit none of them is held
-    pass_cycle(driver, found, x, field.mode)
+    pass_cycle(driver, found, x, field.mode, late)
 
 
 def _left_at_rest(driver: Driver, field: Field, name: str, x: StateVector, jumped: Jumped) -> float:
@@ -211,10 +213,13 @@ def pass_sum(driver: Driver, tail: Tail, at_rest: StateVector | None = None) -> 
     _go_on_from(driver, tail, tail.field, (contact.name,), tail.r, after, sides, at_rest)
 
 
-def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> None:
+def pass_cycle(
+    driver: Driver, found: CycleLimit, x: StateVector, mode: str, late: float = 0.0
+) -> None:
     """Pass the accumulation point of a cycle; ``x`` and ``mode`` are those after the last jump.
 
-    The arc from there to the limit is recorded as a straight line.
+    The arc from there to the limit is recorded as a straight line. ``late``: by how much the limit
+    may come later, as far as rounding hides it.
     """
     record, held = driver.record, driver.still_held(mode, x)
     segments = [straight(0.0, found.remaining, x, found.x_inf)] if found.remaining else []
@@ -226,8 +231,12 @@ def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> 
     after = _after(driver, found.edges, held)
     if after is not None and not np.isfinite(driver.closed(*after, found.x_inf)).all():
         after = None  # contacts that close on a body from both sides leave it no rest
-    if after is not None:
-        found = attrs.evolve(found, t_error=found.t_error + _unlike(driver, field, found))
+    rest = driver.scene.field(driver.scene.name(*after)) if after else field
+    unlike = _unlike(driver, field, found) if after else 0.0
+    for time, there in ((late, rest), (unlike, field)):
+        if time > 0.0:
+            off = time * np.abs(there.rhs(driver.t, found.x_inf.tolist()))
+            found = attrs.evolve(found, t_error=found.t_error + time, x_error=found.x_error + off)
     _go_on_from(driver, found, field, found.edges, found.ratio, after, sides)
 
 
@@ -274,6 +283,11 @@ def _go_on_from(
 ) -> None:
     """Record an accumulation and begin what follows it: a mode and the contacts held there."""
     record, goes_on = driver.record, driver.plan.zeno in ("rest", "truncate")
+    others = (g for g in field.guards if g.kind == "contact" and g.edge not in edges)
+    off = sum(
+        (_off_beside(driver, gap.edge, limit.x_inf) for gap in others), driver.hidden(driver.t)
+    )
+    limit = attrs.evolve(limit, x_error=limit.x_error + off)
     rest = driver.scene.name(*after) if after and goes_on else None
     state = driver.scene.spec.record(limit.x_inf)
     point = Accumulation(driver.t, state, ratio, edges, "estimated", rest, record.j)
@@ -296,6 +310,24 @@ def _go_on_from(
         driver.seen = np.maximum(driver.seen, np.abs(limit.x_inf))
     elif after:
         driver.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))
+
+
+def _off_beside(driver: Driver, name: str, x_inf: StateVector) -> StateVector:
+    """How far the state of a body that goes on with its impacts may be off at the limit of another:
+    the rounding of its gap puts off an impact by more the slower it is, and those behind it by
+    ``(1 + r) / (1 - r)`` times that, as in :func:`.comparison._late`."""
+    last = driver.cycles.last_of(name)
+    if last is None:
+        return np.zeros(len(x_inf))
+    t, x, field = last.t, last.x.tolist(), driver.scene.field(last.mode)
+    gap = field.guards[field.column(name)]
+    size, fast, _ = driver.scene.rounding(gap, field)(t, x)
+    _, speed, force = gap.lie(t, x)
+    speed = max(abs(speed), EPS * fast)
+    low = unit("hops").drowns(speed, force, driver.reach(last.x))
+    r = min(driver.scene.contact(name).law(t, x, -speed), 1.0 - LEAST_LOSS)
+    time = (GUARD_ROUNDING if low else 1.0) * EPS * size / speed * (1.0 + r) / (1.0 - r) ** 2
+    return time * np.abs(field.rhs(t, x))
 
 
 def _since(driver: Driver, tail: Tail) -> float:

@@ -239,7 +239,7 @@ def _errors(
     floor = 4 * SUM_FLOOR * np.sqrt(1.0 + made.jumps)
     t_error, x_error = floor * abs(point.t), floor * np.abs(_vector(point))
     x_error[made.scene.spec.flows :] = 0.0  # only jumps change it
-    second = pairs[0][1].limits[index]
+    second = pairs[0][1].limits[_place(pairs[0][1], index, point)]
     extrapolated = [second] if isinstance(second, CycleLimit) else []  # from as few jumps
     for limit in [made.limits[index], *extrapolated]:
         if limit is not None:
@@ -249,7 +249,7 @@ def _errors(
             rates = limit.field.rhs(limit.t + limit.remaining, limit.x_inf.tolist())
             t_error, x_error = t_error + late, x_error + late * np.abs(rates)
     for pair in pairs:
-        one, other = (run.zeno[index] for run in pair)
+        one, other = (run.zeno[_place(run, index, point)] for run in pair)
         t_error = t_error + 3 * abs(one.t - other.t)
         x_error = x_error + 3 * np.abs(_vector(one) - _vector(other))
     return float(t_error), record(x_error)
@@ -278,7 +278,16 @@ def _late(scene: Scene, tail: Tail, since: float, fresh: bool) -> float:
 
 def _shows(run: FinishedRun, index: int, point: Compared) -> bool:
     """Whether a run has reached the same accumulation."""
-    return index < len(run.zeno) and run.zeno[index].edges == point.edges
+    place = _place(run, index, point)
+    return place < len(run.zeno) and run.zeno[place].edges == point.edges
+
+
+def _place(run: FinishedRun, index: int, point: Compared) -> int:
+    """The place of an accumulation in another run: its own, or one beside it if rounding decides
+    which of two limits comes first."""
+    places = (index, index + 1, index - 1)
+    known = (k for k in places if 0 <= k < len(run.zeno) and run.zeno[k].edges == point.edges)
+    return next(known, index)
 
 
 def _vector(point: Compared) -> Numbers:

@@ -301,6 +301,11 @@ class Cycles:
         count = sum(1 for _ in takewhile(edge.__eq__, reversed(self.seen.edge.tolist())))
         return float(self.seen.t[-count])
 
+    def last_of(self, edge: str) -> Seen | None:
+        """The last of the jumps of an edge that are remembered."""
+        places = np.flatnonzero(self.seen.edge == edge)
+        return self.seen.part(slice(places[-1], places[-1] + 1)).rows()[0] if len(places) else None
+
     def again(self) -> None:
         """Look for a limit again at the next jump."""
         self.asked, self.stands = True, False

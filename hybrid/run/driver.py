@@ -77,6 +77,7 @@ class Driver:
         self.cycles = Cycles(scene.code.beside)
         self.seen = np.zeros(scene.spec.dimension)
         self.losses = Losses(plan, solver.whole, self.seen)
+        self._hidden = [(-np.inf, np.zeros(scene.spec.dimension))]
         self.steps = 0
         self.jumped, self.beyond_by = Jumped(), 0.0
         self.tied: dict[str, int] = {}
@@ -426,6 +427,16 @@ class Driver:
         self.passed(flown.length)
         self.spent |= flown.over
         return x
+
+    def hides(self, until: float, off: StateVector) -> None:
+        """Note by how much the state may be off up to a time, as rounding has brought to rest."""
+        self._hidden = [(end, own) for end, own in self._hidden if end >= self.t]
+        self._hidden.append((until, off))
+
+    def hidden(self, t: float) -> StateVector:
+        """By how much the state may be off at a time, as rounding has brought bodies to rest."""
+        none = np.zeros(self.scene.spec.dimension)
+        return sum((off for until, off in self._hidden if t <= until), none)
 
     def _up_to(self, flown: Flown, due: float) -> StateVector:
         """The state in which a clock rings, after an arc that may end a little before, where a
