@@ -668,3 +668,36 @@ def test_impacts_with_an_event_at_the_top_of_each_flight_have_their_limit(solver
         assert point.t_error < 1e-7 or abs(height) > 20.0, r
         assert off < 1e-7, r
         assert run.mode == "flight.rest(impact)"
+
+
+class Narrow(hy.Automaton):
+    """A ball between a floor that rises and a wall that comes near it and goes again."""
+
+    x = hy.state()
+    v = hy.state()
+    least: float = hy.parameter(1e-8)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, 0.0 * s.v
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x - 0.3 * t, restitution=1.0)
+    wall = hy.contact(
+        flight, gap=lambda self, t, s: 0.3 * t + self.least + (1.0 - t) ** 2 - s.x, restitution=0.5
+    )
+
+
+@SOLVERS
+@pytest.mark.parametrize(
+    ("least", "rtol"), [(1e-7, 1e-6), (2e-8, 1e-6), (1e-9, 1e-8), (1e-10, 1e-10)]
+)
+def test_walls_that_come_near_and_do_not_touch_have_no_limit(least, rtol, solver):
+    """The gap that they leave is below the tolerance, and known far better than that: the states
+    behind impacts lie on the walls. In the frame of the floor nothing is small."""
+    start = {"x": 0.6, "v": -0.7}
+    run = hy.simulate(Narrow(least=least), start, (0.0, 1.5), solver=solver, rtol=rtol)
+    assert not run.zeno
+    assert run.status is hy.Status.REACHED_END
+    fine = hy.simulate(Narrow(least=least), start, (0.0, 1.5), solver=solver, rtol=1e-13)
+    assert len(run.jumps) == len(fine.jumps)
+    assert run.final.x == pytest.approx(fine.final.x, abs=1e-3)

@@ -57,7 +57,7 @@ def persists(scene: Scene, turn: Turn, t: float, found: CycleLimit, rtol: float)
         fired = next((guard for guard in field.guards if guard.edge == jump.edge), None)
         if fired is None or not _steady(field, turn.seen[k], t, x):
             return False
-        if not _alone(field, turn, k, t, found.edges, slack):
+        if not _alone(field, turn, k, t, found.edges):
             return False
         if not _keeps_law(scene, field, fired, turn, k, t, found.t_error):
             return False
@@ -120,16 +120,15 @@ def _follows(laws: Matrix, off: Matrix) -> bool:
     return bool(np.all(changes[1:] <= LATE_CHANGE * so_far + off[2:]))
 
 
-def _alone(
-    field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...], slack: Numbers
-) -> bool:
-    """Whether no guard outside the cycle is zero from the last flight before a jump to the
-    limit."""
+def _alone(field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...]) -> bool:
+    """Whether no guard outside the cycle is zero from the last flight before a jump to the limit,
+    where its own are. Jumps land on those, whatever the tolerances: they are zero as far as the
+    limit is known."""
     now, jump, x, others = turn.seen[k], turn.seen[k + 1], turn.limits[k], []
     known = turn.known(k)
     for column, guard in enumerate(field.guards):
         here, before = guard.value(t, x.tolist()), guard.value(now.t, now.x.tolist())
-        ours = guard.edge in cycle and abs(here) <= _allowed(guard, t, x, slack, turn.first)
+        ours = guard.edge in cycle and abs(here) <= _allowed(guard, t, x, known, turn.first)
         if not ours and (guard.edge == jump.edge or here * before <= 0):
             return False
         if not ours and abs(here) > _shifted(guard, t, x, known):
@@ -161,15 +160,15 @@ def _steady(field: Field, now: Seen, t: float, x: StateVector) -> bool:
 
 
 def _allowed(
-    guard: Guard, t: float, x: StateVector, slack: StateVector, first: list[Seen]
+    guard: Guard, t: float, x: StateVector, known: StateVector, first: list[Seen]
 ) -> float:
     """The largest value of a guard that counts as zero at the limit: small against its size in the
-    cycle, or within what the slack of the state makes of it."""
+    cycle, or within what is not known of the state."""
     size, length = 0.0, first[0].until(first[-1])
     for seen in first:
         value, rate, _ = guard.lie(seen.t, seen.x.tolist())
         size = max(size, abs(value), abs(rate) * length)
-    return ZERO * size + _shifted(guard, t, x, slack)
+    return ZERO * size + _shifted(guard, t, x, known)
 
 
 def _shifted(guard: Guard, t: float, x: StateVector, slack: StateVector) -> float:
