@@ -4,6 +4,7 @@ The impacts of one come between those of the other. Over a floor that is not at 
 flights are lower than the rounding of the position, and the limit is known to that only.
 """
 
+import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
@@ -77,3 +78,29 @@ def test_both_limits_are_listed(r, q, floor, later, solver):
         assert point.t_error < 1e-5 or abs(later) < 1e-9
     assert np.allclose(run.arcs[-1].last, [floor, 0.0, 2.0, 0.0], rtol=0.0, atol=1e-12)
     assert run.mode == "flight.rest(one, two)"
+
+
+class Shaken(hy.Automaton):
+    """A ball on a table that moves up and down."""
+
+    x = hy.state()
+    v = hy.state()
+    r: float = hy.parameter(0.4)
+    high: float = hy.parameter(0.02)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -9.8
+
+    impact = hy.contact(
+        flight, gap=lambda self, t, s: s.x - self.high * jnp.sin(4.0 * t), restitution="r"
+    )
+
+
+def test_no_impact_is_listed_behind_the_limit():
+    """Not by a spacing: times are rounded once, from two floats."""
+    for r, high in np.random.default_rng(1).uniform([0.05, 0.01], [0.5, 0.05], (100, 2)).tolist():
+        run = hy.simulate(Shaken(r=r, high=high), {"x": 1.0, "v": 0.0}, (0.0, 1.5), solver="taylor")
+        assert all(arc.t0 <= arc.t1 for arc in run.arcs)
+        limit = run.zeno[0].t
+        assert not np.any((limit < run.jumps.t) & (run.jumps.t < limit + 1e-12))

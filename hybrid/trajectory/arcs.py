@@ -185,16 +185,15 @@ class TailPart(_Moded):
         """The arc after the tail's impact ``n``."""
         tail = self.tail
         flight = tail.flight(n)
-        since, x = float(tail.times[n]), tail.point(tail.r**n)[1] if n else tail.x
+        x = tail.point(tail.r**n)[1] if n else tail.x
         if flight is None:
-            length = float(tail.remaining - since)
+            length = float(tail.remaining - tail.times[n])
             segments = [straight(0.0, length, x, tail.x_inf)]
             end = tail.x_inf
         else:
             length, end = flight.time, np.array(flight.x)
             segments = flight.segments()
-        t = tail.t + since
-        low = (tail.t - t) + since + tail.low
+        t, low = (float(times[n]) for times in self.times)
         t1 = Instant(t, low).after(length).t
         return Arc(self.mode, self.j + n, t, low, length, t1, x, end, segments)
 
@@ -206,16 +205,21 @@ class TailPart(_Moded):
     @cached_property
     def jumps(self) -> Table:
         """All listed impacts of the tail."""
-        tail = self.tail
-        since = tail.times[1:]
-        t = tail.t + since
-        names = np.full(tail.count, tail.contact.name, dtype=object)
-        return Table(t, (tail.t - t) + since + tail.low, names, *tail.impacts)
+        names = np.full(self.tail.count, self.tail.contact.name, dtype=object)
+        t, low = self.times[:, 1:]
+        return Table(t, low, names, *self.tail.impacts)
+
+    @cached_property
+    def times(self) -> Numbers:
+        """The times of the impacts in two floats, one row each; first that of the impact from which
+        they are summed."""
+        begin = Instant(self.tail.t, self.tail.low)
+        listed = (begin.after(since) for since in self.tail.times.tolist())
+        return np.array([[now.t, now.low] for now in listed]).T
 
     def arc_at(self, t: float, side: str = "right") -> Arc:
         """The arc of the tail that covers time ``t``, by the listed impact times."""
-        listed = self.tail.t + self.tail.times
-        return self.arc(max(int(np.searchsorted(listed, t, side=side)) - 1, 0))  # type: ignore[call-overload]
+        return self.arc(max(int(np.searchsorted(self.times[0], t, side=side)) - 1, 0))  # type: ignore[call-overload]
 
 
 Part = Arc | TailPart
