@@ -285,6 +285,8 @@ def _shows(run: FinishedRun, index: int, point: Compared) -> bool:
 def _place(run: FinishedRun, index: int, point: Compared) -> int:
     """The place of an accumulation in another run: its own, or one beside it if rounding decides
     which of two limits comes first."""
+    if index >= len(run.zeno):
+        return index
     places = (index, index + 1, index - 1)
     known = (k for k in places if 0 <= k < len(run.zeno) and run.zeno[k].edges == point.edges)
     return next(known, index)
