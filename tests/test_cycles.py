@@ -670,6 +670,38 @@ def test_impacts_with_an_event_at_the_top_of_each_flight_have_their_limit(solver
         assert run.mode == "flight.rest(impact)"
 
 
+class Turning(hy.Automaton):
+    """A ball on a shelf, and an event wherever its speed is zero, as it is at rest."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.discrete(0)
+    r: float = hy.parameter(0.5)
+    height: float = hy.parameter(0.0)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -8.0
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - self.height, restitution="r")
+
+    @hy.edge(flight, guard=lambda self, t, s: s.v)
+    def top(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("height", [0.0, 94.5, 253.3, -232.6, -285.0])
+def test_an_event_that_rest_keeps_at_zero_does_not_happen_there(solver, height):
+    """Rounding ends the flights, be it before or behind the last event."""
+    for r in np.linspace(0.05, 0.9, 18).tolist():
+        model, start = Turning(r=r, height=height), {"x": height + 1.0, "v": 0.0}
+        run = hy.simulate(model, start, (0.0, 12.0), solver=solver)
+        (point,) = run.zeno
+        assert abs(point.t - 0.5 * (1.0 + r) / (1.0 - r)) <= point.t_error, r
+        assert run.mode == "flight.rest(impact)"
+
+
 class Narrow(hy.Automaton):
     """A ball between a floor that rises and a wall that comes near it and goes again."""
 

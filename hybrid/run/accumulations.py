@@ -284,10 +284,9 @@ def _go_on_from(
     """Record an accumulation and begin what follows it: a mode and the contacts held there."""
     record, goes_on = driver.record, driver.plan.zeno in ("rest", "truncate")
     others = (g for g in field.guards if g.kind == "contact" and g.edge not in edges)
-    off = sum(
-        (_off_beside(driver, gap.edge, limit.x_inf) for gap in others), driver.hidden(driver.t)
-    )
-    limit = attrs.evolve(limit, x_error=limit.x_error + off)
+    off = [*driver.hidden(), *(_off_beside(driver, gap.edge, limit.x_inf) for gap in others)]
+    if off:
+        limit = attrs.evolve(limit, x_error=limit.x_error + sum(off))
     rest = driver.scene.name(*after) if after and goes_on else None
     state = driver.scene.spec.record(limit.x_inf)
     point = Accumulation(driver.t, state, ratio, edges, "estimated", rest, record.j)
@@ -320,6 +319,7 @@ def _off_beside(driver: Driver, name: str, x_inf: StateVector) -> StateVector:
     if last is None:
         return np.zeros(len(x_inf))
     t, x, field = last.t, last.x.tolist(), driver.scene.field(last.mode)
+    t = t if driver.record.memory is None else driver.t  # the windows of the past are those of now
     gap = field.guards[field.column(name)]
     size, fast, _ = driver.scene.rounding(gap, field)(t, x)
     _, speed, force = gap.lie(t, x)

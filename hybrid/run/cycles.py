@@ -195,6 +195,7 @@ class Cycles:
         self.asked = self.stands = False
         self.next, self.patience = 2 * LEAST_WINDOW, 0
         self.seen = self._room = NO_JUMPS
+        self.before = frozenset[str]()
 
     def clock(
         self, scene: Scene, field: Field, guard: Guard, t: float, x: StateVector, s: float
@@ -306,13 +307,19 @@ class Cycles:
         places = np.flatnonzero(self.seen.edge == edge)
         return self.seen.part(slice(places[-1], places[-1] + 1)).rows()[0] if len(places) else None
 
+    @property
+    def latest(self) -> frozenset[str]:
+        """The edges of the last jumps, as many as a cycle may have; where there are none yet, of
+        those before the last accumulation."""
+        return frozenset(self.seen.edge[-LONGEST_CYCLE:].tolist()) or self.before
+
     def again(self) -> None:
         """Look for a limit again at the next jump."""
         self.asked, self.stands = True, False
 
     def forget(self) -> None:
         """Start anew, after an accumulation."""
-        self.seen = NO_JUMPS
+        self.before, self.seen = self.latest, NO_JUMPS
         self.next, self.stands, self.patience = 2 * LEAST_WINDOW, False, 0
 
     @property

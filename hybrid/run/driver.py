@@ -77,7 +77,7 @@ class Driver:
         self.cycles = Cycles(scene.code.beside)
         self.seen = np.zeros(scene.spec.dimension)
         self.losses = Losses(plan, solver.whole, self.seen)
-        self._hidden = [(-np.inf, np.zeros(scene.spec.dimension))]
+        self._hidden: list[tuple[float, StateVector]] = []
         self.steps = 0
         self.jumped, self.beyond_by = Jumped(), 0.0
         self.tied: dict[str, int] = {}
@@ -190,12 +190,18 @@ class Driver:
         try:
             return enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
         except StartError as fault:
-            counts = self.cycles.counts() if fault.status == "undecided" else []
+            if fault.status != "undecided":
+                raise
+            # what has happened at this time, or lately beside impacts that come to rest, and stays
+            # zero, does not happen again
+            lately, impacts = self.cycles.latest, self.watch.impacts.values()
+            past = self.spent | (lately if lately & self.scene.contacts else frozenset())
+            long = max(impacts, default=0) >= self.plan.patience
+            counts = [] if long else self.cycles.counts()
             if not counts:
-                if fault.status != "undecided" or self.spent <= jumped.limit:
+                if past <= jumped.limit:
                     raise
-                # what has happened at this time, and stays zero, does not happen again
-                jumped = attrs.evolve(jumped, limit=jumped.limit | self.spent)
+                jumped = attrs.evolve(jumped, limit=jumped.limit | past)
                 return enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
             names = ", ".join(self.scene.spec.element_names[i] for i in counts)
             raise JumpLoopError(
@@ -429,14 +435,14 @@ class Driver:
         return x
 
     def hides(self, until: float, off: StateVector) -> None:
-        """Note by how much the state may be off up to a time, as rounding has brought to rest."""
+        """Note by how much the state may be off up to a time, as rounding has brought a body to
+        rest too soon."""
         self._hidden = [(end, own) for end, own in self._hidden if end >= self.t]
         self._hidden.append((until, off))
 
-    def hidden(self, t: float) -> StateVector:
-        """By how much the state may be off at a time, as rounding has brought bodies to rest."""
-        none = np.zeros(self.scene.spec.dimension)
-        return sum((off for until, off in self._hidden if t <= until), none)
+    def hidden(self) -> list[StateVector]:
+        """By how much the state may be off now, for each body that has come to rest too soon."""
+        return [off for until, off in self._hidden if self.t <= until]
 
     def _up_to(self, flown: Flown, due: float) -> StateVector:
         """The state in which a clock rings, after an arc that may end a little before, where a
