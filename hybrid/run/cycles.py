@@ -35,6 +35,10 @@ if TYPE_CHECKING:
 #: Most jumps that are remembered.
 REMEMBERED_JUMPS = 1 << 14
 
+#: The least change of a counter in a turn, relative to its largest; a speed is some 1e-5 of the
+#: first where rounding of the position ends the flights.
+LEAST_COUNT = 1e-3
+
 #: The largest value at the limit of guards, and of what resets change, relative to the first turn,
 #: beside what is not known of the states there. (Turns may shrink to a length that is small against
 #: the first, and not zero.)
@@ -330,13 +334,14 @@ class Cycles:
 
     def counts(self) -> list[int]:
         """The elements of the state that the last turn changed by no less than the turn before, as
-        a counter does."""
+        a counter does, and not by what rounding leaves of what has come to rest."""
         length = self.period
         if not length:
             return []
-        last = self.seen.x[self._closings(length)[-FEW_TURNS:]]
-        turns = np.abs(np.diff(last, axis=0))
-        counts = (turns[-1] > 0) & (turns[-1] >= WINDOW_FALL * turns[-2])
+        x = self.seen.x[self._closings(length)]
+        turns, rounding = np.abs(np.diff(x, axis=0)), 64 * EPS * np.abs(x).max(axis=0)
+        last = turns[-1] > np.maximum(LEAST_COUNT * turns.max(axis=0), rounding)
+        counts = last & (turns[-1] >= WINDOW_FALL * turns[-2])
         return np.setdiff1d(np.flatnonzero(counts), self.beside).tolist()  # type: ignore[no-any-return]
 
     def limit(self, scene: Scene, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:

@@ -194,10 +194,8 @@ class Driver:
                 raise
             # what has happened at this time, or lately beside impacts that come to rest, and stays
             # zero, does not happen again
-            lately, impacts = self.cycles.latest, self.watch.impacts.values()
+            lately, counts = self.cycles.latest, self.cycles.counts()
             past = self.spent | (lately if lately & self.scene.contacts else frozenset())
-            long = max(impacts, default=0) >= self.plan.patience
-            counts = [] if long else self.cycles.counts()
             if not counts:
                 if past <= jumped.limit:
                     raise
