@@ -590,3 +590,119 @@ def test_a_slope_without_a_bound_has_no_derivative_that_is_off(solver):
     assert np.isfinite(fall(Rooted(), {"x": 1.0, "v": 0.0}).final.x)
     slope = jax.grad(lambda k: fall(Rooted(k=k), {"x": 1.0, "v": 0.0}).final.x)(1.0)
     assert np.isnan(slope)
+
+
+class Cornered(hy.Automaton):
+    """A body that a spring draws to a wall, above a floor; an impact on the wall throws it off the
+    floor."""
+
+    x, y = hy.state(unit="m"), hy.state(unit="m")
+    u, v = hy.state(unit="m/s"), hy.state(unit="m/s")
+
+    A: float = hy.parameter(0.10149765350546407, unit="m", doc="the wall's amplitude")
+
+    @hy.mode
+    def flight(self, t, s):
+        pull = -7.089792088105645 * s.x - 0.1 * s.u + 0.4 * s.v
+        return s.u, s.v, pull, -8.066076165933605 + 9.27443070684343 * jnp.sin(2 * t)
+
+    floor = hy.contact(
+        flight, gap=lambda self, t, s: s.y - 0.1 * s.x, restitution=0.2335672108029552
+    )
+    wall = hy.contact(
+        flight,
+        gap=lambda self, t, s: s.x + self.A * jnp.cos(t) - 0.13246954098414138,
+        restitution=0.21021048972265968,
+    )
+
+
+def test_impacts_that_set_off_series_of_others_have_their_derivatives():
+    """Each impact on the wall sets off a series on the floor, of ever slower impacts."""
+    start = {"x": 1.0256385870052693, "y": 0.7008288105213981}
+    start |= {"u": 0.8727717342473571, "v": 0.4001965975894892}
+    f = hy.as_function(Cornered(), t=(0.0, 3.0), max_jumps=36)
+
+    def times(a):
+        return f(Cornered(A=a), start).jumps.t
+
+    a, h = Cornered().A, 1e-4
+    found = jax.jacfwd(times)(a)
+    apart = (times(a + h) - times(a - h)) / (2 * h)
+    # differences of the last ones are good to 2e-6: their own change when h is halved
+    assert np.isfinite(found).all()
+    np.testing.assert_allclose(found, apart, rtol=5e-6)
+
+
+class Rocked(hy.Automaton):
+    """A bead over a table that moves."""
+
+    x, v = hy.state(unit="m"), hy.state(unit="m/s")
+
+    r: float = hy.parameter(0.4, unit="1", doc="restitution")
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -9.8
+
+    table = hy.contact(
+        flight, gap=lambda self, t, s: s.x - 0.11 * jnp.sin(3.8 * t), restitution="r"
+    )
+
+
+def test_derivatives_of_a_limit_far_from_the_origin_of_time():
+    """There the rounding of the time hides the speed of slow impacts: what is left of it decides
+    whether there is a derivative, and none is off."""
+    draw, h, known = np.random.default_rng(0), 1e-4, 0
+    f = jax.jit(
+        lambda r, x, v, begin: (
+            hy.as_function(Rocked(), t=(begin, begin + 2.0), max_jumps=80)(
+                Rocked(r=r), {"x": x, "v": v}
+            ).zeno.t
+        )
+    )
+    found = jax.jit(jax.jacfwd(f))
+    for begin in np.repeat([300.0, 1000.5, 1e4], 8):
+        r, *rest = *draw.uniform([0.2, 0.2, -1.0], [0.7, 0.8, 1.0]), begin + draw.uniform(0, 2)
+        one, two, four, five = (float(f(r + k * h, *rest)) for k in (-2, -1, 1, 2))
+        apart = (one - 8 * two + 8 * four - five) / (12 * h)
+        slope = float(found(r, *rest))
+        if np.isfinite(slope):
+            known += 1
+            # USABLE, and a spacing of the time over the step
+            assert slope == pytest.approx(apart, rel=4e-6, abs=4 * np.spacing(begin) / h)
+    assert known >= 8
+
+
+class Wedged(hy.Automaton):
+    """A body between a wall and a floor, both of which move."""
+
+    x, y = hy.state(unit="m"), hy.state(unit="m")
+    u, v = hy.state(unit="m/s"), hy.state(unit="m/s")
+
+    a: float = hy.parameter(0.04468046478508343, unit="m", doc="amplitude of both")
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.u, s.v, -3.0 + 0.5 * jnp.sin(t), -9.8 - s.x * 0.3
+
+    wall = hy.contact(
+        flight,
+        gap=lambda self, t, s: s.x - self.a * jnp.sin(t) - 0.05 * s.y,
+        restitution=0.5046303503067897,
+    )
+    floor = hy.contact(
+        flight,
+        gap=lambda self, t, s: s.y - self.a * jnp.sin(3.9891155668576372 * t) - 0.1 * s.x,
+        restitution=0.7461110353632521,
+    )
+
+
+def test_a_rest_that_leaves_no_freedom_has_derivatives_whatever_was_before():
+    """Before it is a limit whose derivative rounding hides."""
+    start = {"x": 0.9867257024440133, "y": 0.7496810288958156}
+    start |= {"u": 0.8818269596291157, "v": -0.21329275386032087}
+    begin, end = 0.14406809190528086, 2.875260057784876
+    f = hy.as_function(Wedged(), t=(begin, end), max_jumps=400)
+    found = jax.jacfwd(lambda a: f(Wedged(a=a), start).final.x)(Wedged().a)
+    wall, floor = np.sin(end), np.sin(3.9891155668576372 * end)
+    np.testing.assert_allclose(found, (wall + 0.05 * floor) / 0.995, rtol=1e-12)

@@ -263,7 +263,7 @@ class Shooting:
         """The monodromy matrix of a run, and the factors of its jumps and accumulations."""
         matrix, jumps = np.eye(run.spec.dimension), []
         for factor in factors(self.model, run):
-            matrix = factor.matrix @ matrix
+            matrix = factor.applied(matrix)
             if factor.edge is not None:
                 jumps.append(factor)
         return matrix, jumps

@@ -78,6 +78,10 @@ KNOWN, LEFT_TO_PYTHON, OF_FIELD, OF_GUARD = 0, 1, 2, 3
 #: A change of a guard below this share of its terms is rounding.
 TIED = 1e-9
 
+#: A guard's rate below this share of its terms may be what time rounds to, and is compared with
+#: that after so many spacings of the time.
+SLOW_RATE, MANY_SPACINGS = 1e-3, 1e6
+
 #: Beside a kink the flow is read at this distance from the end of a piece: at least this share of
 #: the time since the arc began, as nearer by rounding would decide the side; at most this share of
 #: the piece.
@@ -378,7 +382,7 @@ def passes(
     status = carried(s.programs, program, places, t, begins, length, t + aside, inside, room, arc)
     if status < 0:
         return False
-    mapped(arc, 0, n, state, room.moved)
+    mapped(arc, n, state, room.moved)
     for i in range(n):
         for k in range(state.shape[1]):
             state[1 + i, k] = room.moved[1 + i, k]
@@ -460,19 +464,16 @@ def projected(
     return True
 
 
-def mapped(matrix: Matrix, first: int, n: int, state: Matrix, moved: Matrix) -> None:
-    """Multiply a change at equal times by a matrix, whose first row is ``first``."""
+def mapped(matrix: Matrix, n: int, state: Matrix, moved: Matrix) -> None:
+    """Multiply a change at equal times by a matrix."""
+    columns = state.shape[1]
     for i in range(n):
-        for k in range(state.shape[1]):
-            moved[1 + i, k] = image(matrix, first + i, n, state, k)
-
-
-def image(matrix: Matrix, row: int, n: int, state: Matrix, k: int) -> float:
-    """An element of that product, by a row of the matrix."""
-    total = matrix[row, n + k] if k < state.shape[1] - n - 2 else 0.0
-    for j in range(n):
-        total += matrix[row, j] * state[1 + j, k]
-    return total
+        row = matrix[i]
+        for k in range(columns):
+            total = row[n + k] if k < columns - n - 2 else 0.0
+            for j in range(n):
+                total += row[j] * state[1 + j, k]
+            moved[1 + i, k] = total
 
 
 def arrives(
@@ -492,17 +493,36 @@ def arrives(
     if not flow_at(s, row, left, begin, end, True, t, before, room, flow):
         return False
     values(s.programs, own[GRADIENT], t, before, room.sides, room.c, room.work, across)
-    rate = across[0]
+    rate, terms = across[0], abs(across[0])
     for i in range(n):
         rate += across[1 + i] * flow[i]
-    if rate == 0.0:
+        terms += abs(across[1 + i] * flow[i])
+    if rate == 0.0 or (
+        abs(rate) < SLOW_RATE * terms and drowned(s, own, row, t, before, rate, room)
+    ):
         return False
+    values(s.programs, own[GRADIENT], t, before, room.sides, room.c, room.work, across)
     for k in range(state.shape[1]):
         state[0, k] = 0.0
         state[0, k] = -product(across, state, 1 + n, columns, 0, k) / rate
         for i in range(n):
             state[1 + i, k] += flow[i] * state[0, k]
     return True
+
+
+def drowned(
+    s: Slopes, own: Ints, row: Ints, t: float, x: Floats, rate: float, room: Changes
+) -> bool:
+    """Whether a guard's rate is about what it changes by in a spacing of the time: when it is zero
+    for neighbours is then rounding."""
+    flow, across, n = room.lines[NEAR_ROW], room.lines[GRADIENT_ROW], x.shape[0]
+    later = t + MANY_SPACINGS * (math.nextafter(abs(t), math.inf) - abs(t))
+    rates(s, row[SLOPES_PROGRAM], later, x, room, flow)
+    values(s.programs, own[GRADIENT], later, x, room.sides, room.c, room.work, across)
+    then = across[0]
+    for i in range(n):
+        then += across[1 + i] * flow[i]
+    return abs(then - rate) > MANY_SPACINGS * USABLE * abs(rate)
 
 
 def together(s: Slopes, own: Ints, t: float, before: Floats, room: Changes) -> bool:
@@ -577,7 +597,7 @@ def accumulated(
     room: Changes,
     found: Matrix,
 ) -> bool:
-    """Carry a change through a sum of impacts."""
+    """Carry a change through a sum of impacts, from ``moved``: that of its first impact."""
     n, row, first = x.shape[0], left.sums[tail], tail * CURVE_ROWS
     flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
     column = guard - a.fields[field, GUARDS]
@@ -587,19 +607,19 @@ def accumulated(
     none = room.maps[:0]
     usable = limit(
         a.programs, flow, at, column, held, s, contact, t, x, row[LAST_SPEED], row[RATIO],
-        row[REMAINING], curve, x_inf, none, sums, room, out,
+        row[REMAINING], curve, x_inf, none, moved, sums, room, out,
     )  # fmt: skip
     if not usable <= USABLE:
         return False
+    columns, last = 1 + room.arc.shape[1], moved.shape[1]
     if tail == 0:
         for i in range(n + 2):
-            source = 2 * n + 1 if i == n + 1 else i
-            for k in range(state.shape[1]):
-                found[1 + n + i, k] = image(out, source, n, state, k)
-    mapped(out, 1 + n, n, state, moved)
+            source = out[2 * n + 1 if i == n + 1 else i]
+            for k in range(last):
+                found[1 + n + i, k] = product(source, moved, 1 + n, columns, 0, k)
     for i in range(n):
-        for k in range(state.shape[1]):
-            state[1 + i, k] = moved[1 + i, k]
+        for k in range(last):
+            state[1 + i, k] = product(out[1 + n + i], moved, 1 + n, columns, 0, k)
     return True
 
 

@@ -31,7 +31,7 @@ from .lengths import LAST_TERMS
 from .linear import solve
 from .polynomials import power_value
 from .slopes import onto_contacts, product, rates, read, reset
-from .sums import KICK, READ, STATE_THERE, on_curve
+from .sums import KICK, READ, STATE_THERE, on_curve, touch, turned
 from .variation import (
     GRADIENT,
     HELD_COUNT,
@@ -92,11 +92,12 @@ def limit(
     curve: Matrix,
     x_inf: Floats,
     directions: Matrix,
+    incoming: Matrix,
     sums: Sums,
     room: Changes,
     out: Matrix,
 ) -> float:
-    """From a change of the state after the first impact to one at the limit.
+    """From a change of time and state after the first impact to one at the limit.
 
     Parameters
     ----------
@@ -108,10 +109,13 @@ def limit(
         The tail (:class:`hybrid.zeno.accumulate.Tail`).
     directions : Matrix
         A column for each direction in which the parameters change; no rows: each of them alone.
+    incoming : Matrix
+        The change of time and state with which the sum begins, a column for each parameter; or
+        none, if that is not known.
     out : Matrix
-        Gets the derivatives, by the state and along the directions, of the time of the limit, of
-        the state there, of the state at equal times, and of the ratio. Those at equal times have
-        lost two ranks: gap and gap speed are zero at rest.
+        Gets the derivatives, by time and state of that impact and along the directions, of the
+        time of the limit, of the state there, of the state at equal times, and of the ratio. Those
+        at equal times have lost two ranks: gap and gap speed are zero at rest.
 
     Returns
     -------
@@ -140,7 +144,7 @@ def limit(
         if not solved(degree, r, x, directions, room):
             return math.inf
         if degree > FEWEST_POINTS:
-            change = compared(x, directions, room)
+            change = compared(x, directions, incoming, room)
             left = change * min(1.0, change / before) if before < math.inf else change
             before = change
             if left < least:
@@ -149,7 +153,7 @@ def limit(
         copied(room.now, room.last)
         degree *= 2
     if least <= USABLE:
-        at_limit(s, own, t, x, v, t + remaining, x_inf, directions, room, out)
+        at_limit(s, own, t + remaining, x_inf, directions, room, out)
     return least
 
 
@@ -234,6 +238,9 @@ def mapped(
     )  # fmt: skip
     if status < 0 or not flown(p, flow, s, own, begins, n, pieces, crossed, sums, room):
         return False
+    # the state at the impact has the gap speed that the flight has shown: in its own that drowns
+    touch(p, at, begins + length, sums.end, sums)
+    turned(sums.end, u - sums.lines[READ, n], sums.lines[READ])
     unmoved(change)
     onto_gap(s, own, begins, state, change, room)
     start, arrives, ends = room.lines[FLOW_AT_START], room.lines[FLOW_AT_END], begins + length
@@ -505,8 +512,9 @@ def _by_others(degree: int, size: int, columns: int, room: Changes) -> bool:
     return True
 
 
-def compared(x: Floats, directions: Matrix, room: Changes) -> float:
-    """What has changed: against the largest in time and state, for a parameter against its own."""
+def compared(x: Floats, directions: Matrix, incoming: Matrix, room: Changes) -> float:
+    """What has changed: against the largest in time and state; for a parameter against its own, and
+    what the largest makes of the change with which the sum begins."""
     size, columns, largest, worst = 1 + x.shape[0], width(x, directions, room), 1e-300, 0.0
     for i in range(size):
         for k in range(size):
@@ -516,6 +524,8 @@ def compared(x: Floats, directions: Matrix, room: Changes) -> float:
         for i in range(size):
             own = max(own, abs(room.now[i, k]))
             change = max(change, abs(room.now[i, k] - room.last[i, k]))
+            if size <= k < size + incoming.shape[1]:
+                own = max(own, largest * abs(incoming[i, k - size]))
         if not change <= worst * own:
             worst = change / own
     return worst if math.isfinite(worst) else math.inf
@@ -524,43 +534,26 @@ def compared(x: Floats, directions: Matrix, room: Changes) -> float:
 def at_limit(
     s: Slopes,
     own: Ints,
-    t: float,
-    x: Floats,
-    v: float,
     t_inf: float,
     x_inf: Floats,
     directions: Matrix,
     room: Changes,
     out: Matrix,
 ) -> None:
-    """From a change after the first impact, at equal times, to the moment of the limit, and to a
+    """From a change of time and state after the first impact to the moment of the limit, and to a
     change at equal times there."""
-    n, found, drift, start = x.shape[0], room.best, room.lines[DRIFT], room.lines[FLOW_AT_START]
-    size, law, across = 1 + n, room.lines[FLOW_HERE], room.lines[GAP_GRADIENT]
-    values(s.programs, own[GRADIENT], t, x, room.sides, room.c, room.work, across)
-    directed(across, x, directions, room.read)
-    rates(s, own[SLOPES_PROGRAM], t, x, room, start)
+    n, found, drift = x_inf.shape[0], room.best, room.lines[DRIFT]
+    size, law = 1 + n, room.lines[FLOW_HERE]
     values(s.programs, own[LAW_SLOPES], t_inf, x_inf, room.sides, room.c, room.work, law)
-    directed(law, x, directions, room.read)
-    for k in range(1, width(x, directions, room)):
-        time, terms_of_time = -across[k] / v, 0.0  # the first impact is so much later
-        for i in range(size):
-            total, terms = found[i, 0] * time, abs(found[i, 0] * time)
-            for j in range(n):
-                moved = start[j] * time + (1.0 if k == 1 + j else 0.0)
-                total += found[i, 1 + j] * moved
-                terms += abs(found[i, 1 + j] * moved)
-            if k > n:
-                total += found[i, k]
-                terms += abs(found[i, k])
-            out[i, k - 1] = total
-            if i == 0:
-                terms_of_time = terms
-            else:
-                later = total - drift[i - 1] * out[0, k - 1]
-                least = DIFFERENCE_ROUNDING * (terms + abs(drift[i - 1]) * terms_of_time)
-                out[n + i, k - 1] = later if abs(later) > least else 0.0
+    directed(law, x_inf, directions, room.read)
+    for k in range(width(x_inf, directions, room)):
         ratio = law[k] if k > n else 0.0
         for i in range(size):
-            ratio += law[i] * out[i, k - 1]
-        out[2 * n + 1, k - 1] = ratio
+            out[i, k] = found[i, k]
+            ratio += law[i] * found[i, k]
+        for i in range(1, size):
+            moved = drift[i - 1] * found[0, k]
+            least = DIFFERENCE_ROUNDING * (abs(found[i, k]) + abs(moved))
+            later = found[i, k] - moved
+            out[n + i, k] = later if abs(later) > least else 0.0
+        out[2 * n + 1, k] = ratio

@@ -57,6 +57,7 @@ class Carried:
         self, walk: Walk, state: Matrix, given: Matrix, touched: Iterable[float] = ()
     ) -> None:
         self.walk, self.state, self.given = walk, state, given
+        walk.incoming = lambda: self.state
         self.touched, self.limits = list(touched), 0
         self.none = np.zeros(state.shape, dtype=bool)
         self.past: PastVariation | None = None
@@ -128,7 +129,7 @@ class Carried:
 
     def _applied(self, factor: Factor, change: Matrix) -> Iterator[Moment]:
         broken = self._broken_ties(factor, change)
-        self.state = factor.matrix @ change
+        self.state = factor.applied(change)
         for number, moment in enumerate(factor.moments):
             none = self.none | (broken if number else False)
             apply = partial(self._variation, none=none, change=change)
@@ -191,13 +192,13 @@ class Carried:
         change[-len(rows) :] = rows
         if len(self.given):
             change[-of.count : -len(rows)] = self.given
-        factor = self.walk.limit(chatter.index, part, through(of, seeing, change))
+        factor = self.walk.limit(chatter.index, part, through(of, seeing, change, self.state))
         change = np.vstack([self.state, np.eye(count)])
         if past.restarts:
             self._require_same(past, factor.moments[0].after @ change, part.t1, tail.x_inf)
         else:
             self._flights(past, chatter)
-            ends = np.stack([self.state, factor.matrix @ change])
+            ends = np.stack([self.state, factor.applied(change)])
             past.add(Strand(past.strands[-1].b, part.t1, ends))
         yield from self._applied(factor, change)
 

@@ -63,7 +63,7 @@ def grown(
     times, growth, units = [], [], np.where(sizes == 0.0, 1.0, sizes)
     for factor in pieces:
         matrix = factor.matrix * units / units[:, None]
-        frame, upper = np.linalg.qr(matrix @ frame)
+        frame, upper = np.linalg.qr(factor.applied(frame * units[:, None]) / units[:, None])
         lengths = np.abs(np.diag(upper))
         lost = lengths <= LOST_GROWTH * np.abs(matrix).max()
         if factor.smooth and lost.any():

@@ -68,7 +68,7 @@ def room_for(
         arc=np.empty((states, columns - 1)),
         state=np.empty((own, columns + 1)),
         moved=np.empty((own, columns + 1)),
-        out=np.empty((2 * own, columns - 1)),
+        out=np.empty((2 * own, columns)),
     )
 
 

@@ -15,8 +15,9 @@ and 6.2.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import groupby
+from math import ulp
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -24,9 +25,9 @@ import numpy as np
 
 from ..errors import OrbitError
 from ..lowering import Field, Guard, Kind, Scene, scene_of
-from ..rules.changes import TIED
+from ..rules.changes import MANY_SPACINGS, SLOW_RATE, TIED
 from ..rules.guards import NEAR
-from ..rules.limits import DIFFERENCE_ROUNDING
+from ..rules.limits import DIFFERENCE_ROUNDING, USABLE
 from ..segment import Segment
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..trajectory.trajectory import Solution
@@ -34,6 +35,7 @@ from .arcs import ArcPiece, along, passing, resolvable
 from .derivatives import Derivatives
 from .derivatives import after as after_reset
 from .limit import LimitVariation, through
+from .saltation import Saltation, cleared
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
@@ -59,11 +61,6 @@ SEES_RATES = (
 
 #: Kinds of jumps at which state and flow are continuous, unless the jump erases the past.
 SMOOTH_KINDS = (Kind.RELEASE, Kind.LEAVE)
-
-
-def cleared(matrix: Matrix, sizes: np.ndarray, relative: float) -> Matrix:
-    """A matrix with entries at rounding level set to 0, so that a singular matrix stays so."""
-    return np.where(np.abs(matrix) <= relative * sizes, 0.0, matrix)
 
 
 @attrs.frozen(eq=False)
@@ -138,6 +135,8 @@ class Factor:
         that it begins.
     smooth : bool
         Whether the piece is part of an arc, so that its matrix is nonsingular.
+    saltation : Saltation or None
+        The matrix of a jump, or of an accumulation, in its summands.
     """
 
     t: float
@@ -148,6 +147,11 @@ class Factor:
     waits: bool = False
     part: int = 0
     smooth: bool = False
+    saltation: Saltation | None = None
+
+    def applied(self, change: Matrix) -> Matrix:
+        """A change of the state, and of what follows it in the columns, after the piece."""
+        return self.matrix @ change if self.saltation is None else self.saltation.applied(change)
 
 
 @attrs.frozen(eq=False)
@@ -206,7 +210,7 @@ def factors_of(course: Course, apart: float = np.inf) -> Iterator[Factor]:
         assert isinstance(factor, Factor)
         if factor.ties is not None and np.any(factor.ties):
             where = f"{course.scene.spec.model}, t = {factor.t!r}"
-            tied = f"at {factor.edge} {TIES}" if factor.moments else CYCLE
+            tied = CYCLE if factor.edge is None else f"at {factor.edge} {TIES}"
             raise OrbitError(f"{where}: {tied}")
         yield factor
 
@@ -231,6 +235,8 @@ class Walk:
         self._since, self._there = np.inf, course.scene
         #: Whether a delayed term jumps at time ``t`` in part ``index``.
         self.arrival: Callable[[int, float], bool] = lambda index, t: False
+        #: The change of the state that is carried along, if one is.
+        self.incoming: Callable[[], Matrix | None] = lambda: None
 
     @cached_property
     def columns(self) -> int:
@@ -251,7 +257,7 @@ class Walk:
             last = index + 1 == len(parts)
             instant = isinstance(part, Arc) and not part.length
             if group and (last or not instant):
-                yield self.jump(group, index)
+                yield self._resolved(partial(self.jump, group, index), group[0][0], False)
                 yield from self.onto(index)
                 group = []
             if isinstance(part, Arc):
@@ -259,22 +265,34 @@ class Walk:
             elif self.course.sight:
                 yield Chatter(index, part)
             else:  # its matrix leaves errors in gap and gap speed, which the projection removes
-                yield self.limit(index, part)
+                yield self._resolved(partial(self.limit, index, part), index, True)
                 yield from () if last else self.onto(index + 1)
             if index in jumps:
                 group.append((index, jumps[index]))
             elif not last and isinstance(part, Arc):
-                yield self.unknown(part)
+                yield self.unknown(index, True)
                 yield from self.onto(index + 1)
         if group:
-            yield self.jump(group, None)
+            yield self._resolved(partial(self.jump, group, None), group[0][0], False)
 
-    def unknown(self, part: Arc) -> Factor:
-        """The factor of the limit of a cycle: ties on every number, as no derivative is known."""
+    def _resolved(self, make: Callable[[], Factor], index: int, limit: bool) -> Factor:
+        """The factor of a jump or a limit; by parameters, one that there is none of is unknown."""
+        try:
+            return make()
+        except OrbitError:
+            if not self.parameters or self.course.sight:
+                raise
+            return self.unknown(index, limit)
+
+    def unknown(self, index: int, limit: bool) -> Factor:
+        """The factor of a jump or a limit through which no derivative is known: ties on every
+        number."""
+        part = self.course.parts[index]
         if self.course.sight:
             raise OrbitError(f"{self.model}, t = {part.t1!r}: {CYCLE}")
-        every = np.eye(self.size, self.columns)
-        return Factor(part.t1, None, every, ties=every)
+        every, none = np.eye(self.size, self.columns), np.full((self.size, self.columns), np.nan)
+        moment = Moment(index, none[0], none, none, none[0] if limit else None)
+        return Factor(part.t1, None, every, (moment,), ties=every, part=index)
 
     def onto(self, index: int) -> Iterator[Factor]:
         """The factor of the projection at the start of part ``index``, if it rests or slides."""
@@ -336,10 +354,12 @@ class Walk:
 
     def limit(self, index: int, part: TailPart, found: LimitVariation | None = None) -> Factor:
         """The factor of an accumulation, from ``found`` if these derivatives are known already."""
-        found = found or through(self.beside(index, False)[1], part.tail)
+        of = self.beside(index, False)[1]
+        found = found or through(of, part.tail, incoming=self.incoming())
         moment = Moment(index, found.time, found.state, found.state, found.ratio)
         name = f"limit of {part.tail.contact.name}"
-        return Factor(part.t1, name, found.matrix, (moment,), part=index)
+        saltation = found.saltation
+        return Factor(part.t1, name, saltation.matrix, (moment,), part=index, saltation=saltation)
 
     # -- the scene at a time ----------------------------------------------------------------
 
@@ -399,15 +419,14 @@ class Walk:
         for place, row in group:
             resets = after_reset(self._reset(place, row), resets)
         reset = self._widened(resets[:, 1:])
-        smooth = guard.kind in SMOOTH_KINDS and not self.restarts
+        smooth, saltation = guard.kind in SMOOTH_KINDS and not self.restarts, None
         if not smooth or jumped is not None or waits or len(group) > 1:
             moves = resets[:, 1 : 1 + self.size] @ before + resets[:, 0]
             change = moves - (moves if after is None else self._flow(after, False))
-            later = np.outer(change, time)
-            reset = cleared(reset + later, np.abs(reset) + np.abs(later), DIFFERENCE_ROUNDING)
-        return Factor(
-            first.t, " ".join(row.edge for _, row in group), reset, moments, ties, waits, index
-        )
+            saltation = Saltation(reset, change, time)
+            reset = saltation.matrix
+        edges = " ".join(row.edge for _, row in group)
+        return Factor(first.t, edges, reset, moments, ties, waits, index, saltation=saltation)
 
     def _require_seen(self, place: int, row: JumpRow) -> None:
         """Refuse an impact whose gap looks back: its speed depends on how fast the past changes."""
@@ -534,7 +553,23 @@ class Walk:
                 f"{self.model}, t = {row.t!r}: the guard of {row.edge} is reached at zero rate; "
                 "a grazing jump has no first variation"
             )
+        terms = abs(gradient[0]) + np.abs(gradient[1 : 1 + self.size]) @ np.abs(flow)
+        if abs(rate) < SLOW_RATE * terms and self._drowned(of, field, guard, row, rate):
+            raise OrbitError(
+                f"{self.model}, t = {row.t!r}: the guard of {row.edge} is reached so slowly that "
+                "rounding of the time hides its rate; the first variation is not resolved"
+            )
         return self._widened(-gradient[None, 1:] / rate)[0]
+
+    def _drowned(
+        self, of: Derivatives, field: Field, guard: Guard, row: JumpRow, rate: float
+    ) -> bool:
+        """Whether a guard's rate is about what it changes by in a spacing of the time."""
+        later = row.t + MANY_SPACINGS * ulp(row.t)
+        gradient = of.guard(guard, field)(later, row.before)[0]
+        flow = np.array(field.rhs(later, row.before.tolist()))
+        then = float(gradient[0] + gradient[1 : 1 + self.size] @ flow)
+        return abs(then - rate) > MANY_SPACINGS * USABLE * abs(rate)
 
     def _jumps(self, index: int, guard: Guard, field: Field, piece: ArcPiece) -> bool:
         """Whether a guard jumps over zero at the end of a piece: its limit there is not zero."""
