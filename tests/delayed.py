@@ -177,12 +177,43 @@ class Lift(hy.Automaton):
     w = hy.state()
     y = hy.state()
     v = hy.state()
+    lag = hy.parameter(1.0)
 
     @hy.mode(initial=True)
     def flight(self, t, s):
         return 0.1, s.v, -1.0
 
-    table = hy.contact("flight", gap=lambda self, t, s, past: s.y - past(1.0).w, restitution=0.5)
+    table = hy.contact(
+        "flight", gap=lambda self, t, s, past: s.y - past(self.lag).w, restitution=0.5
+    )
+
+
+class Ramps(hy.Automaton):
+    """A ball above a floor whose height is what a weight was a lag ago, which clocks give other
+    speeds."""
+
+    y, v, w, u = hy.state(), hy.state(), hy.state(), hy.state()
+    lag, r = hy.parameter(0.3), hy.parameter(0.5)
+    first, second, third = hy.parameter(1.0), hy.parameter(2.0), hy.parameter(3.0)
+    one, two, three = hy.parameter(0.0), hy.parameter(0.0), hy.parameter(0.0)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -4.0, s.u, 0.0
+
+    floor = hy.contact(flight, gap=lambda self, t, s, past: s.y - past(self.lag).w, restitution="r")
+
+    @hy.edge(flight, at=("first",))
+    def turns(self, t, s):
+        return s.replace(u=self.one)
+
+    @hy.edge(flight, at=("second",))
+    def turns_again(self, t, s):
+        return s.replace(u=self.two)
+
+    @hy.edge(flight, at=("third",))
+    def turns_last(self, t, s):
+        return s.replace(u=self.three)
 
 
 class Held(hy.Automaton):

@@ -367,3 +367,36 @@ def test_a_smooth_release_happens_once(solver, memory):
     run = hy.simulate(Lifted(), [0.0, 0.0], (0.0, 0.4557), **options)
     assert run.jumps.edge.tolist() == ["floor.release"]
     assert run.jumps.t[0] == pytest.approx(math.asin(Lifted().g / Lifted().f) / 3.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", *later("diffrax")])
+@pytest.mark.parametrize("lag", [0.25, 1.0])
+def test_impacts_do_not_shake_what_does_not_feel_them(solver, lag):
+    """The weight's height is smooth through the impacts of the ball, so that a lag after they have
+    accumulated the table that shows it still holds the ball; in a run that goes on, too."""
+    model, start, options = delayed.Lift(lag=lag), {"w": 0.0, "y": 0.5, "v": 0.0}, TIGHT
+    run = hy.simulate(model, start, (0.0, 5.0), solver=solver, **options)
+    (point,) = run.zeno
+    assert point.t_release is None
+    assert set(run.jumps.edge) == {"table"}
+    assert float(run.final.y) == pytest.approx(0.1 * (5.0 - lag), abs=1e-10)
+    first = hy.simulate(model, start, (0.0, 3.2), solver=solver, **options)
+    more = hy.simulate(
+        model, first.final, (3.2, 5.0), mode=first.mode, history=first, solver=solver, **options
+    )
+    assert len(more.jumps) == 0
+    assert float(more.final.y) == pytest.approx(0.1 * (5.0 - lag), abs=1e-10)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_windows_that_end_at_no_breaking_point_release_nothing(solver):
+    """What is seen is a window as accurate as the tolerances, and so is its rate."""
+    names = "lag", "r", "first", "second", "third", "one", "two", "three"
+    values = 0.35167803074036974, 0.69939903025171, 101.45986307316312, 104.57096479113986
+    values += 104.92772453170636, 0.7057563532677678, 0.5185754170373202, -0.057536697715377505
+    model = delayed.Ramps(**dict(zip(names, values, strict=True)))
+    start = {"y": 1.4464010889186496, "v": -0.7399276871059537}
+    start |= {"w": 0.1, "u": -0.7469199450672697}
+    run = hy.simulate(model, start, (100.25, 108.25), rtol=1e-10, solver=solver)
+    assert [point.t_release for point in run.zeno] == [None]
+    assert run.zeno[0].t == pytest.approx(106.489007072713, abs=2e-11)

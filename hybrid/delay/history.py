@@ -13,6 +13,8 @@ from ..automaton.record import Record
 from ..automaton.spec import Spec
 from ..automaton.trace import wide
 from ..errors import OptionError
+from ..lowering.scene import parted
+from ..rules.record import SHOWN_ROUNDING
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Solution
 from .pieces import Piece, constant, piece_of, slack_of
@@ -137,13 +139,17 @@ def _of_run(spec: Spec, run: Solution, t0: float, memory: str) -> list[Piece]:
         found, arcs = [constant(arcs[-1].first, arcs[-1].t0)], arcs[-1:]
     else:
         found = list(run.hindsight.history if run.hindsight else ()) or [unknown(spec, run.t0)]
-    end = found[-1].state(run.t0, np.zeros(1))[0]
+    end, mode = found[-1].state(run.t0, np.zeros(1))[0], ""
     for arc in arcs:
         _require_dense(spec, arc)
-        joints = [np.where(end == arc.first, 1, 0), *[None] * len(arc.segments)]
-        pairs = zip(arc.segments, joints, strict=False)
-        found += [piece_of(segment, arc.t0, arc.low, orders) for segment, orders in pairs]
-        end = arc.last
+        made = [piece_of(segment, arc.t0, arc.low) for segment in arc.segments]
+        base = parted(arc.mode)[0]
+        for first in made[:1]:
+            rounded = SHOWN_ROUNDING * np.maximum(np.abs(end), np.abs(arc.first))
+            joint = np.where(np.abs(end - arc.first) <= rounded, 1, 0)
+            made[0] = attrs.evolve(first, orders=joint, mode=base if base == mode else "")
+        found += made
+        end, mode = arc.last, base
     return _broken(until(found, t0), run)
 
 

@@ -75,7 +75,7 @@ from ..rules.places import (
     STEPS_DONE,
     WINDOW_DEGREE,
 )
-from ..rules.record import SHOWN_ROUNDING, WINDOW_SHARE
+from ..rules.record import SHOWN_ROUNDING, SMOOTH_ORDER, WINDOW_SHARE
 from ..rules.windows import AT_THE_END, FIXED, MOVES_ON, ROUGH_MOST, ROUGH_NEAR
 from ..segment import Segment, from_powers, from_values, nodes, straight
 from ..trajectory.arcs import Arc, TailPart
@@ -94,10 +94,10 @@ from .pieces import (
     states,
     swept,
 )
-from .windows import NO_LINKS, TO_POWERS, Links, reach
+from .windows import NO_LINKS, TO_POWERS, Links, reach, smooth_through
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Integers, Numbers, StateVector
+    from ..automaton.shapes import Integers, Mask, Numbers, StateVector
 
 #: Most sums of impacts in one call of the rules' loop.
 SUMS = 8
@@ -161,7 +161,8 @@ class Memory:
         self.pieces, self.breaks = Pieces(self.ints, history, len(x)), Breaks(self.ints, len(x))
         for piece in history:
             if piece.orders is not None:
-                self.breaks.add(piece.start, piece.orders)
+                known = code.steady(piece.mode) if piece.mode else np.zeros(len(x), dtype=bool)
+                self._break(piece.start, piece.orders, known)
         self.breaks.add(plan.t0, self._start(x))
         self._frames = np.tile([0.0, 0.0, np.inf, 0.0], (len(self._lags), 1))
         self.shown, self.bound, self.told = np.array(hidden[-self._size :]), False, False
@@ -177,7 +178,7 @@ class Memory:
         self._before = np.zeros(STATE_FLOATS), ints, np.zeros((3, len(x)))
         self._begun, self._joins = np.zeros(len(x)), False
         self._looks_back, self._reach = False, dict[Any, Any]()
-        self._turned = -np.inf, 0
+        self._turned, self.bends = (-np.inf, 0), False
 
     @property
     def start(self) -> StateVector:
@@ -264,17 +265,20 @@ class Memory:
         """Record consecutive arcs and the jumps after them."""
         for arc, row in zip(flights.arcs, flights.rows(), strict=True):
             self.flown(Instant(arc.t0, arc.low), arc.segments)
-            self.jumped(row.t, row.before, row.after)
+            self.jumped(row.t, row.before, row.after, (row.edge, arc.mode))
 
-    def jumped(self, t: float, before: StateVector, after: StateVector) -> None:
-        """Record a jump; with ``memory="restart"`` everything before it is forgotten."""
+    def jumped(
+        self, t: float, before: StateVector, after: StateVector, jump: tuple[str, str]
+    ) -> None:
+        """Record a jump, given with the mode before it; with ``memory="restart"`` everything before
+        it is forgotten."""
         if self.told:
             return
         if self.plan.memory == "restart":
             self._restart(t, after)
             return
-        stays = before == after
-        self.breaks.add(t, np.where(stays, 1, 0))
+        orders, code = np.where(before == after, 1, 0), self.scene.code
+        self._break(t, orders, smooth_through(code, *jump))
         if any(self.moving) or self.guessing:
             self.until, self._joins = t, True
 
@@ -292,6 +296,7 @@ class Memory:
         if self.plan.memory == "restart":
             self._restart(part.t1, tail.x_inf)
             return
+        smooth = smooth_through(self.scene.code, tail.contact.name, tail.field.mode)
         for n in range(tail.count + 1):
             arc = part.arc(n)
             last = n == tail.count or arc.length <= BRIEF_FLIGHT * np.spacing(abs(part.t1))
@@ -299,11 +304,19 @@ class Memory:
                 break
             self.flown(Instant(arc.t0, arc.low), arc.segments)
             row = part.jump(n + 1)
-            self.breaks.add(row.t, np.where(row.before == row.after, 1, 0))
+            self._break(row.t, np.where(row.before == row.after, 1, 0), smooth)
         since = self.pieces.last.end
         last_piece = straight(0.0, part.t1 - since, arc.first, tail.x_inf)
         self.pieces.add(piece_of(last_piece, since, 0.0))
-        self.breaks.add(part.t1, np.ones(len(tail.x_inf), dtype=int))
+        self._break(part.t1, np.ones(len(tail.x_inf), dtype=int), smooth)
+
+    def _break(self, t: float, orders: Integers, smooth: Mask) -> None:
+        """Record the breaking point of a jump, if lags see it: of order 0 in what it changes; a
+        corner in all else but for what it leaves smooth, if it changes none of that."""
+        if not np.any(smooth & (orders == 0)):
+            orders = np.where(smooth, SMOOTH_ORDER, orders)
+        if orders[self.all_seen].min() < SMOOTH_ORDER:
+            self.breaks.add(t, orders)
 
     def _low(self, arc: Arc, x: StateVector) -> bool:
         """Whether delays cannot tell the states along a flight from the limit ``x``."""
@@ -508,7 +521,16 @@ class Memory:
             *(self.floats, self.ints, self._now, self._moves),
             *(pieces.spans, pieces.degrees, pieces.rows),
             *(*self.breaks.arrays, self._frames, seen, seen.max(axis=0), links.uses, links.asks),
-            *(atol, links.given, links.ranged, links.parts, links.ops, links.more, links.numbers),
+            *(
+                links.steady,
+                atol,
+                links.given,
+                links.ranged,
+                links.parts,
+                links.ops,
+                links.more,
+                links.numbers,
+            ),
             *(self.shown, self.sights, nodes(WINDOW_DEGREE).copy(), FROM_VALUES, TO_PLACES, TURN),
             *(np.zeros(n, dtype=np.int64), np.zeros((len(self._now), n), dtype=np.int64)),
             *(np.zeros((2, WINDOW_DEGREE + 1)), self._supplied, self._present),
@@ -566,6 +588,7 @@ class Memory:
         self.breaks.reserve()
         past = self.past()._replace(uses=uses, asks=asks)
         unit("past").ended(t, 0, ends.index(fired) if fired else -1, past)
+        self.bends = bool(np.any((past.least <= 1) & (past.seen == 1)))
         self.until = t
 
     def _require_way(self, t: float, lag: str) -> None:

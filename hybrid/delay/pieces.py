@@ -61,6 +61,8 @@ class Piece:
         Chebyshev coefficients about the middle of the piece.
     frame : tuple
         The reference time in two floats, then the midpoint relative to it, and half the length.
+    mode : str
+        In a piece of an earlier run: the mode in which the jump at its start stays, if it does.
     """
 
     start: float
@@ -70,6 +72,7 @@ class Piece:
     orders: np.ndarray | None = None
     rows: Matrix | None = None
     frame: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
+    mode: str = ""
 
 
 def piece_of(segment: Segment, t0: float, low: float, orders: np.ndarray | None = None) -> Piece:

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..lowering.scene import parted, released
 from ..rules.places import KIND, NONE, RELEASE, TO, WINDOW_DEGREE
 from ..segment import to_centred_powers
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import IntegerMatrix
+    from ..automaton.shapes import IntegerMatrix, Mask
     from ..lowering import Field
     from ..lowering.automaton import Tables
+    from ..lowering.lowered import Lowered
     from ..rules.arrays import AutomatonArrays
 
 
@@ -27,6 +29,7 @@ class Links(NamedTuple):
 
     uses: np.ndarray
     asks: np.ndarray
+    steady: np.ndarray
     given: np.ndarray
     ranged: np.ndarray
     parts: np.ndarray
@@ -42,7 +45,7 @@ def _table(rows: Any, width: int) -> IntegerMatrix:
 
 #: For an automaton without programs.
 NO_PROGRAMS = np.zeros(0, dtype=np.int64)
-EMPTY_TABLES = [_table([], width) for width in (1, 1, 2, 2, 6, 6)]
+EMPTY_TABLES = [_table([], width) for width in (1, 1, 1, 2, 2, 6, 6)]
 NO_LINKS = Links(*EMPTY_TABLES, NO_PROGRAMS, np.zeros((0, 1)), _table([], 1))  # type: ignore[call-arg]
 
 
@@ -104,6 +107,7 @@ class Shown:
             ends = after
         return Links(
             *reach(self.tables.fields),
+            self._steady(),
             np.ascontiguousarray(np.concatenate([_table([], 2), *given])),
             np.ascontiguousarray(self._windows(_table(self.tables.bounds.given, 2))),
             _table(parts, 6),
@@ -113,10 +117,29 @@ class Shown:
             NO_PROGRAMS,
         )
 
+    def _steady(self) -> IntegerMatrix:
+        """For each guard the elements in which a jump by it leaves no corner."""
+        code, jumps = (
+            self.tables.scene.code,
+            zip(self.tables.guards, self.tables.modes, strict=True),
+        )
+        rows = [smooth_through(code, guard.edge, mode) for guard, mode in jumps]
+        return _table(rows, code.spec.dimension)
+
     def _windows(self, given: IntegerMatrix) -> IntegerMatrix:
         """The entries of ``given`` that refer to windows, renumbered from the first window."""
         among = (given[:, 1] >= self.first) & (given[:, 1] < self.first + self.count)
         return given[among] - [0, self.first]
+
+
+def smooth_through(code: Lowered, edge: str, mode: str) -> Mask:
+    """The elements whose derivatives a jump that begins in a mode leaves as they are, as long as it
+    changes none of them (:meth:`.Lowered.steady`)."""
+    base, name = parted(mode)[0], released(edge)
+    jump = next((jump for jump in code.spec.transitions if jump.name == name), None)
+    if jump is None or not jump.source == jump.to == base:
+        return np.zeros(code.spec.dimension, dtype=bool)
+    return code.steady(base)
 
 
 def reach(fields: Sequence[Field]) -> tuple[np.ndarray, np.ndarray]:

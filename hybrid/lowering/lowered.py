@@ -28,6 +28,7 @@ from .tape import Tape
 from .taylor import flat
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import Mask
     from .local import LocalGraph
 
 #: Order of the Taylor series of flows and gaps.
@@ -328,6 +329,21 @@ class Lowered:
             tuple(sorted(e for number, e in pairs if number == k))
             for k in range(len(self.spec.lags))
         )
+
+    def steady(self, mode: str) -> Mask:
+        """The elements whose derivatives depend on nothing that a contact of the mode pushes, and
+        on such elements alone: while none of these jumps, a jump within the mode leaves no corner
+        in them."""
+        return self.once(("steady", mode), lambda: self._steady(mode))  # type: ignore[no-any-return]
+
+    def _steady(self, mode: str) -> Mask:
+        uses = [used for used, _ in self.reach(mode, ())]
+        names = [e.name for e in self.spec.transitions if isinstance(e, ContactSpec)]
+        own = [name for name in names if self.contact_spec(name).source == mode]
+        moved = {place for name in own for place in self.pairing(name).velocities}
+        while more := {i for i, used in enumerate(uses) if used & moved} - moved:
+            moved |= more
+        return np.array([i not in moved for i in range(len(uses))])
 
     @cached_property
     def beside(self) -> list[int]:

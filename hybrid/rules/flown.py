@@ -51,6 +51,7 @@ from .record import (
     UP_TO,
     allowed,
     broken,
+    corners,
     kept,
     put,
 )
@@ -150,10 +151,10 @@ def turned(past: PastArrays, i: int, c: Floats, length: float, n: int) -> None:
 
 
 def jumped(left: Left, past: PastArrays, jump: int, t: float) -> None:
-    """Note the breaking point of a jump: the elements that it changes jump, the others have a
-    corner."""
+    """Note the breaking point of a jump."""
     for i in range(past.own.shape[0]):
         past.own[i] = 1 if left.before[jump, i] == left.after[jump, i] else 0
+    corners(past, left.fired[jump])
     broken(past, t)
 
 
@@ -219,6 +220,7 @@ def tail_kept(
         past.own[i] = 1
     past.degrees[ints[PIECES_KEPT]] = 1
     kept(past)
+    corners(past, guard)
     broken(past, end)
     ints[FLIGHTS_DONE] = 0
     return True

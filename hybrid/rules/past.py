@@ -81,7 +81,7 @@ from .places import (
     WINDOW_END,
     T,
 )
-from .record import broken, following, slack
+from .record import SMOOTH_ORDER, broken, following, slack
 from .runs import go
 from .ties import FURTHEST_APART, rounding_there, since
 from .windows import AT_THE_END, BACKWARDS, FIXED, MOVES_ON, confirmed, nearer_guess, read, stays
@@ -89,10 +89,9 @@ from .zeros import EPS
 
 __all__ = ("bound", "ended", "fires_there", "look_back")
 
-#: The order of a smooth element; and the highest order of breaking points that are noted once the
-#: place of a lag has moved backwards: each of them is then seen many times, and so are those that
-#: follow from it.
-SMOOTH_ORDER, TURNING = 1000000, 2
+#: The highest order of breaking points that are noted once the place of a lag has moved backwards:
+#: each of them is then seen many times, and so are those that follow from it.
+TURNING = 2
 
 
 def look_back(

@@ -15,6 +15,9 @@ BEGIN, UP_TO, FROM, FROM_LOW, PIECE_MIDDLE, PIECE_HALF = range(6)
 #: rounding of a window.
 WINDOW_SHARE, SHOWN_ROUNDING = 0.1, 4e-16
 
+#: The order of a smooth element.
+SMOOTH_ORDER = 1000000
+
 #: Times within this many roundings are equal.
 SAME_TIME_ROUNDINGS = 8.0
 
@@ -49,8 +52,13 @@ def last_break(past: PastArrays, t: float, there: bool) -> float:
 
 
 def broken(past: PastArrays, t: float) -> None:
-    """Note a breaking point, of the orders in ``past.own``; equal ones are merged."""
-    place = past.ints[BREAKS]
+    """Note a breaking point, of the orders in ``past.own``, if lags see it; equal ones are
+    merged."""
+    place, seen = past.ints[BREAKS], False
+    for i in range(past.own.shape[0]):
+        seen = seen or (past.heard[i] == 1 and past.own[i] < SMOOTH_ORDER)
+    if not seen:
+        return
     if place > 0 and t <= past.times[place - 1] + slack(t):
         for i in range(past.own.shape[0]):
             past.orders[place - 1, i] = min(past.orders[place - 1, i], past.own[i])
@@ -109,3 +117,14 @@ def at(past: PastArrays, piece: int, i: int, s: float, since: float) -> float:
 def allowed(past: PastArrays, i: int, size: float) -> float:
     """The allowed difference between a window and the record, for an element of this size."""
     return WINDOW_SHARE * (past.atol[i] + past.floats[RTOL] * size) + SHOWN_ROUNDING * size
+
+
+def corners(past: PastArrays, guard: int) -> None:
+    """The orders of a jump's breaking point in ``past.own``, where those that it changes are 0: a
+    corner in all others, but for those that it leaves smooth."""
+    n, smooth = past.own.shape[0], True
+    for i in range(n):
+        smooth = smooth and not (past.own[i] == 0 and past.steady[guard, i] == 1)
+    for i in range(n):
+        if past.own[i] > 0:
+            past.own[i] = SMOOTH_ORDER if smooth and past.steady[guard, i] == 1 else 1

@@ -514,9 +514,9 @@ class Driver:
         signs = signs_at_end(self.entry, t, x, self.reach(x))
         memory.passed(t, x, field, fired.edge if fired else None)
         known = self.vanishing
-        if field.leans:  # what is seen of the past may have jumped; windows are as good as steps
+        if field.leans:  # what is seen of the past, or its rate, may have jumped
             self.look(x)
-            if let_go(self, t, x, STRAYS * self.losses.share):
+            if memory.bends and let_go(self, t, x, STRAYS * self.losses.share):
                 return
         self.enter(field.mode, x, Jumped(known, field.held, passing=signs))
 

@@ -217,7 +217,9 @@ class Recorder:
         """
         now = self.now
         if self.memory is not None:
-            self.memory.jumped(now.t, before, after)
+            arc = self.log.kept[-1]
+            mode = arc.mode if isinstance(arc, Arc) else ""
+            self.memory.jumped(now.t, before, after, (edge, mode))
         self.log.jump(JumpRow(now.t, now.low, edge, before, after))
         self.j += 1
         self.made += 1
