@@ -181,6 +181,17 @@ def test_between_impacts_at_rest_and_after_it_clocks_ring(solver):
     assert run(21.0).x == pytest.approx(0.5, abs=CLOSE[solver])
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_clock_may_end_a_rest(solver):
+    """In a run that goes on, too."""
+    model, start = Kicked(), {"x": 0.5, "v": 0.0}
+    run = hy.simulate(model, start, (0.0, 12.0), solver=solver)
+    assert [point.t_release for point in run.zeno] == [10.0]
+    first = hy.simulate(model, start, (0.0, 9.0), solver=solver)
+    more = hy.simulate(model, first.final, (9.0, 12.0), mode=first.mode, solver=solver)
+    assert [point.t_release for point in (first + more).zeno] == [10.0]
+
+
 def test_clocks_are_no_accumulation():
     times = tuple(2.0 - 0.5**k for k in range(40))
 

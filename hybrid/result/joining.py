@@ -86,16 +86,9 @@ def _options(run: Solution, more: Solution) -> dict[str, Any]:
 
 def _released(points: Sequence[Accumulation], more: Solution) -> list[Accumulation]:
     """The accumulations of a run, with the release times of rests that ended in the next run."""
-    found = list(points)
-    for edges, place in {point.edges: place for place, point in enumerate(points)}.items():
-        point = found[place]
-        releases = {f"{contact}.release" for contact in edges if point.held_by(contact)}
-        freed = [row.t for row in more.own_jumps.values() if row.edge in releases]
-        summed = [other.t for other in more.zeno if other.edges == edges]
-        held = point.mode and point.t_release is None
-        if held and freed and freed[0] < min(summed, default=np.inf):
-            found[place] = attrs.evolve(point, t_release=freed[0])
-    return found
+    lasting = [point for point in points if point.mode and point.t_release is None]
+    left = {id(p): next((a.t0 for a in more.parts if not p.stays(a.mode)), None) for p in lasting}
+    return [attrs.evolve(p, t_release=left.get(id(p), p.t_release)) for p in points]
 
 
 def _stats(one: Stats | None, other: Stats | None) -> Stats | None:

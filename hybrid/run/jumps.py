@@ -138,7 +138,6 @@ def _release(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> Non
     field = driver.entry.field
     contact = released(guard.edge)
     held = tuple(name for name in field.held if name != contact)
-    driver.record.released(contact, driver.t)
     driver.interrupt(guard.edge, driver.scene.name(field.mode, held), x, x)
     add_jump(driver, guard.edge, x, x)
     pulled = carried or (driver.forgets and not _bears_nothing(driver, guard, x))

@@ -79,7 +79,6 @@ def let_go(driver: Driver, t: float, x: StateVector, lost: float = 0.0) -> bool:
     gone = next((guard for guard in ends if departed(scene, guard, t, x, lost)), None)
     open_ = [contact for contact in field.held if opened(scene, field.mode, contact, t, x, lost)]
     for contact in open_:
-        driver.record.released(contact, t)
         _leave(driver, f"{contact}{RELEASE_SUFFIX}", field.mode, x)
     if gone is not None:
         _leave(driver, gone.edge, gone.to, x)

@@ -17,7 +17,6 @@ import numpy as np
 from ..delay.memory import SUMS
 from ..delay.windows import Links, Shown
 from ..errors import FlowError
-from ..lowering import released
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arrays import Left, Now
@@ -591,8 +590,6 @@ class Machine:
         onto = {}
         for k in np.flatnonzero(tables.constrained[fired]).tolist():
             onto[modes[k]] = driver.own.field(modes[k]).onto
-            if tables.guards[fired[k]].kind == "release":
-                driver.record.released(released(edges[k]), float(t[k]))
         since = driver.record.j, modes, now.t, now.low
         flights = Flights(*since, first, lengths, jumps, steps, onto)
         driver.steps += count

@@ -63,6 +63,7 @@ class Recorder:
         self.log = Log()
         self.zeno: list[Accumulation] = []
         self.tails: list[Tail | CycleLimit | None] = []
+        self._lasting: list[Accumulation] = []
         self.grazings: list[Jump] = []
         self.sampled: list[np.ndarray] = []
         self.memory: Memory | None = None
@@ -145,6 +146,7 @@ class Recorder:
     def keep(self, part: Part) -> None:
         """Keep a part: whole, or only its ends and the samples asked for."""
         plan = self.plan
+        self._began(part.mode, part.t0)
         self._sample(part)
         if isinstance(part, TailPart) and self.memory is not None:
             self.memory.tail(part)
@@ -179,6 +181,9 @@ class Recorder:
                 return
             flights = flights.later()
         self._sample(flights)
+        if self._lasting:
+            for mode, t in zip(flights.modes, [flights.t, *flights.jumps.t], strict=False):
+                self._began(mode, float(t))
         if flights.steps is not None and not self.plan.dense:
             flights = attrs.evolve(flights, steps=None)
         self.log.add(flights)
@@ -253,6 +258,7 @@ class Recorder:
         """Add an accumulation, and the tail that was summed."""
         self.zeno.append(point)
         self.tails.append(tail)
+        self._lasting += [point] if point.mode is not None else []
 
     def heaps(self) -> float | None:
         """The approximate time at which accumulations of one cycle accumulate in turn; None if they
@@ -285,11 +291,13 @@ class Recorder:
         points = self.zeno[-HEAP:]
         return list(dict.fromkeys(edge for point in points for edge in point.edges))
 
-    def released(self, contact: str, t: float) -> None:
-        """Note the release in the last accumulation of the contact."""
-        point = next((p for p in reversed(self.zeno) if p.held_by(contact)), None)
-        if point is not None and point.mode is not None and point.t_release is None:
-            point.t_release = t
+    def _began(self, mode: str, t: float) -> None:
+        """Note the start of an arc: what followed an accumulation, and is not in that mode any
+        more, has been left."""
+        for point in self._lasting:
+            if not point.stays(mode):
+                point.t_release = t
+        self._lasting = [point for point in self._lasting if point.t_release is None]
 
 
 def _later(segments: Any, begun: Instant, now: Instant) -> list[Segment]:

@@ -88,11 +88,11 @@ class Accumulation:
     _proofs: Any = attrs.field(default=(), alias="proofs", repr=False)
     _since: float = attrs.field(default=inf, alias="since", repr=False)
 
-    def held_by(self, contact: str) -> bool:
-        """Whether the release of a contact ends the rest after this accumulation: the contact's
-        impacts accumulate, or it is in the cycle of edges and held afterwards."""
-        held = parted(self.mode or "")[1]
-        return self.edges == (contact,) or (contact in self.edges and contact in held)
+    def stays(self, mode: str) -> bool:
+        """Whether an arc in a mode belongs to what followed this accumulation: it is that mode, and
+        of the cycle's contacts it holds all that were held then."""
+        (base, held), (own, then) = parted(mode), parted(self.mode or "")
+        return base == own and set(then) & set(self.edges) <= set(held)
 
     @property
     def proofs(self) -> list[Proof]:
