@@ -144,10 +144,10 @@ def _of_run(spec: Spec, run: Solution, t0: float, memory: str) -> list[Piece]:
         _require_dense(spec, arc)
         made = [piece_of(segment, arc.t0, arc.low) for segment in arc.segments]
         base = parted(arc.mode)[0]
-        for first in made[:1]:
+        if made:
             rounded = SHOWN_ROUNDING * np.maximum(np.abs(end), np.abs(arc.first))
             joint = np.where(np.abs(end - arc.first) <= rounded, 1, 0)
-            made[0] = attrs.evolve(first, orders=joint, mode=base if base == mode else "")
+            made[0] = attrs.evolve(made[0], orders=joint, mode=base if base == mode else "")
         found += made
         end, mode = arc.last, base
     return _broken(until(found, t0), run)

@@ -137,6 +137,8 @@ class Memory:
         Whether the programs of the rules' loop hold these numbers.
     told : bool
         Whether the rules' loop has already recorded the arcs and jumps now being added.
+    bends : bool
+        Whether something that lags see jumped, or had a corner, where windows ended last.
     sights : array
         The ``shown`` of the windows at each sum of impacts in a call of the loop.
     """
@@ -521,16 +523,8 @@ class Memory:
             *(self.floats, self.ints, self._now, self._moves),
             *(pieces.spans, pieces.degrees, pieces.rows),
             *(*self.breaks.arrays, self._frames, seen, seen.max(axis=0), links.uses, links.asks),
-            *(
-                links.steady,
-                atol,
-                links.given,
-                links.ranged,
-                links.parts,
-                links.ops,
-                links.more,
-                links.numbers,
-            ),
+            *(links.steady, atol, links.given, links.ranged, links.parts, links.ops),
+            *(links.more, links.numbers),
             *(self.shown, self.sights, nodes(WINDOW_DEGREE).copy(), FROM_VALUES, TO_PLACES, TURN),
             *(np.zeros(n, dtype=np.int64), np.zeros((len(self._now), n), dtype=np.int64)),
             *(np.zeros((2, WINDOW_DEGREE + 1)), self._supplied, self._present),

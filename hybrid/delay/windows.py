@@ -119,10 +119,8 @@ class Shown:
 
     def _steady(self) -> IntegerMatrix:
         """For each guard the elements in which a jump by it leaves no corner."""
-        code, jumps = (
-            self.tables.scene.code,
-            zip(self.tables.guards, self.tables.modes, strict=True),
-        )
+        tables, code = self.tables, self.tables.scene.code
+        jumps = zip(tables.guards, tables.modes, strict=True)
         rows = [smooth_through(code, guard.edge, mode) for guard, mode in jumps]
         return _table(rows, code.spec.dimension)
 

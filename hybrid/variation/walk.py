@@ -557,7 +557,8 @@ class Walk:
         if abs(rate) < SLOW_RATE * terms and self._drowned(of, field, guard, row, rate):
             raise OrbitError(
                 f"{self.model}, t = {row.t!r}: the guard of {row.edge} is reached so slowly that "
-                "rounding of the time hides its rate; the first variation is not resolved"
+                "rounding of the time hides its rate, and the first variation; let time begin "
+                "nearer to 0"
             )
         return self._widened(-gradient[None, 1:] / rate)[0]
 
