@@ -808,3 +808,36 @@ def test_a_run_from_rest_is_flown_by_the_loop(monkeypatch):
     assert [arc.mode for arc in run.arcs] == [arc.mode for arc in slow.arcs]
     np.testing.assert_array_equal(run.arcs[0].first, slow.arcs[0].first)
     np.testing.assert_allclose(run.jumps.t, slow.jumps.t, rtol=0, atol=ROUNDING)
+
+
+def cornered():
+    """A class of its own of a body between a wall and a floor that move."""
+
+    class Cornered(hy.Automaton):
+        x, y, u, v = hy.state(), hy.state(), hy.state(), hy.state()
+
+        @hy.mode
+        def flight(self, t, s):
+            return s.u, s.v, -3.0 + 0.5 * jnp.sin(t), -9.8 - 0.3 * s.x
+
+        wall = hy.contact(
+            flight,
+            gap=lambda self, t, s: s.x - 0.0731607202714988 * jnp.sin(t) - 0.05 * s.y,
+            restitution=0.38855995986689573,
+        )
+        floor = hy.contact(
+            flight,
+            gap=lambda self, t, s: s.y - 0.07316 * jnp.sin(5.954515671459639 * t) - 0.1 * s.x,
+            restitution=0.5198473814173438,
+        )
+
+    return Cornered
+
+
+@pytest.mark.parametrize("speed", [-0.42, -0.2, 0.1, 0.5])
+def test_the_first_run_of_a_class_is_as_any_other(speed):
+    """Though it asks for what is not in the tables yet, in the middle of its jumps."""
+    model, start = cornered()(), {"x": 0.66, "y": 0.64, "u": 0.59, "v": speed}
+    first, other = (hy.simulate(model, start, (0.0, 4.0), solver="taylor") for _ in range(2))
+    assert first.jumps.t.tolist() == other.jumps.t.tolist()
+    assert first.final == other.final

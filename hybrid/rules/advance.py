@@ -104,23 +104,26 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     to be made once these are answered.
     """
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
-    if a.guards[now.ints[FIRED], KIND] == CLOCK:
-        t, low = now.floats[DUE], 0.0
-        fits = onto(a, now.ints[FIELD], t, now.end, room, now.end)
-        if fits and not rung(a, now, room, t, now.end):
-            return passed(a, run, now, room, t)
     guard, place = now.ints[FIRED], now.ints[JUMPS_MADE]
     kind, to = a.guards[guard, KIND], a.guards[guard, TO]
     before, behind, low_flight = left.before[place], left.after[place], now.ints[WAS_LOW] == 1
     status, used, power = JUMP, a.guards[guard, OWN], 1
     made = to != NONE and (kind == RELEASE or a.guards[guard, RESET] >= 0)
-    if surfaced(a, now, kind) and remembered(a, now, guard):
+    judged, again = surfaced(a, now, kind) and remembered(a, now, guard), now.ints[PHASE] == STRIKES
+    fits = low_flight or again  # what has been asked for is known: the state is in its place
+    if kind == CLOCK:
+        t, low = now.floats[DUE], 0.0
+    if not fits and (kind == CLOCK or (made and not judged and kind not in (SWITCH, LEAVE))):
+        fits = onto(a, now.ints[FIELD], t, now.end, room, now.end)
+    if kind == CLOCK and fits and not rung(a, now, room, t, now.end):
+        return passed(a, run, now, room, t)
+    if judged:
         status = JUMP
     elif kind in (SWITCH, LEAVE):
         status, to, used, power = on_surface(a, now, room, t, before, behind)
-    elif made and to == UNKNOWN:
+    elif made and fits and to == UNKNOWN:
         status = asks(now, guard, TO)
-    elif made and (low_flight or onto(a, now.ints[FIELD], t, now.end, room, now.end)):
+    elif made and fits:
         if kind == RELEASE:
             status, used = LANDED, a.guards[guard, REST]
             rises = now.floats[TAU] > 0.0 and not beyond(a, now, guard)
