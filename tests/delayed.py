@@ -178,10 +178,11 @@ class Lift(hy.Automaton):
     y = hy.state()
     v = hy.state()
     lag = hy.parameter(1.0)
+    feels = hy.parameter(0.0)
 
     @hy.mode(initial=True)
     def flight(self, t, s):
-        return 0.1, s.v, -1.0
+        return 0.1 + self.feels * s.y, s.v, -1.0
 
     table = hy.contact(
         "flight", gap=lambda self, t, s, past: s.y - past(self.lag).w, restitution=0.5

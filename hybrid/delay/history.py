@@ -147,7 +147,8 @@ def _of_run(spec: Spec, run: Solution, t0: float, memory: str) -> list[Piece]:
         if made:
             rounded = SHOWN_ROUNDING * np.maximum(np.abs(end), np.abs(arc.first))
             joint = np.where(np.abs(end - arc.first) <= rounded, 1, 0)
-            made[0] = attrs.evolve(made[0], orders=joint, mode=base if base == mode else "")
+            stays = base if base == mode and run.spec is spec else ""
+            made[0] = attrs.evolve(made[0], orders=joint, mode=stays)
         found += made
         end, mode = arc.last, base
     return _broken(until(found, t0), run)

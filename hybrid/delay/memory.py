@@ -75,7 +75,7 @@ from ..rules.places import (
     STEPS_DONE,
     WINDOW_DEGREE,
 )
-from ..rules.record import SHOWN_ROUNDING, SMOOTH_ORDER, WINDOW_SHARE
+from ..rules.record import SHOWN_ROUNDING, WINDOW_SHARE
 from ..rules.windows import AT_THE_END, FIXED, MOVES_ON, ROUGH_MOST, ROUGH_NEAR
 from ..segment import Segment, from_powers, from_values, nodes, straight
 from ..trajectory.arcs import Arc, TailPart
@@ -94,7 +94,7 @@ from .pieces import (
     states,
     swept,
 )
-from .windows import NO_LINKS, TO_POWERS, Links, reach, smooth_through
+from .windows import NO_LINKS, TO_POWERS, Links, bent, reach
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Integers, Mask, Numbers, StateVector
@@ -161,11 +161,6 @@ class Memory:
         behind = ANEW if any(self.moving) else SAME
         self.ints[BEHIND] = FORGETS if plan.memory == "restart" else behind
         self.pieces, self.breaks = Pieces(self.ints, history, len(x)), Breaks(self.ints, len(x))
-        for piece in history:
-            if piece.orders is not None:
-                known = code.steady(piece.mode) if piece.mode else np.zeros(len(x), dtype=bool)
-                self._break(piece.start, piece.orders, known)
-        self.breaks.add(plan.t0, self._start(x))
         self._frames = np.tile([0.0, 0.0, np.inf, 0.0], (len(self._lags), 1))
         self.shown, self.bound, self.told = np.array(hidden[-self._size :]), False, False
         self.sights = np.empty((SUMS, self._size))
@@ -181,6 +176,11 @@ class Memory:
         self._begun, self._joins = np.zeros(len(x)), False
         self._looks_back, self._reach = False, dict[Any, Any]()
         self._turned, self.bends = (-np.inf, 0), False
+        for piece in history:
+            if piece.orders is not None:
+                row = code.pushed(piece.mode) if piece.mode else None
+                self._break(piece.start, piece.orders, piece.mode, row)
+        self.breaks.add(plan.t0, self._start(x))
 
     @property
     def start(self) -> StateVector:
@@ -279,8 +279,8 @@ class Memory:
         if self.plan.memory == "restart":
             self._restart(t, after)
             return
-        orders, code = np.where(before == after, 1, 0), self.scene.code
-        self._break(t, orders, smooth_through(code, *jump))
+        edge, mode = jump
+        self._break(t, np.where(before == after, 1, 0), mode, bent(self.scene.code, edge, mode))
         if any(self.moving) or self.guessing:
             self.until, self._joins = t, True
 
@@ -298,27 +298,41 @@ class Memory:
         if self.plan.memory == "restart":
             self._restart(part.t1, tail.x_inf)
             return
-        smooth = smooth_through(self.scene.code, tail.contact.name, tail.field.mode)
+        mode = tail.field.name
+        row = bent(self.scene.code, tail.contact.name, mode)
         for n in range(tail.count + 1):
             arc = part.arc(n)
             last = n == tail.count or arc.length <= BRIEF_FLIGHT * np.spacing(abs(part.t1))
             if last or self._low(arc, tail.x_inf):
                 break
             self.flown(Instant(arc.t0, arc.low), arc.segments)
-            row = part.jump(n + 1)
-            self._break(row.t, np.where(row.before == row.after, 1, 0), smooth)
+            hit = part.jump(n + 1)
+            self._break(hit.t, np.where(hit.before == hit.after, 1, 0), mode, row)
         since = self.pieces.last.end
         last_piece = straight(0.0, part.t1 - since, arc.first, tail.x_inf)
         self.pieces.add(piece_of(last_piece, since, 0.0))
-        self._break(part.t1, np.ones(len(tail.x_inf), dtype=int), smooth)
+        self._break(part.t1, np.ones(len(tail.x_inf), dtype=int), mode, row)
 
-    def _break(self, t: float, orders: Integers, smooth: Mask) -> None:
-        """Record the breaking point of a jump, if lags see it: of order 0 in what it changes; a
-        corner in all else but for what it leaves smooth, if it changes none of that."""
-        if not np.any(smooth & (orders == 0)):
-            orders = np.where(smooth, SMOOTH_ORDER, orders)
-        if orders[self.all_seen].min() < SMOOTH_ORDER:
+    def _break(self, t: float, orders: Integers, mode: str, changes: Mask | None) -> None:
+        """Record the breaking point of a jump, if lags see it: of order 0 in what it changes.
+
+        ``mode``, ``changes``: the mode before it and :func:`.windows.bent`, if these are known.
+        """
+        if changes is None:
             self.breaks.add(t, orders)
+            return
+        self.breaks.reserve()
+        past = self._within(self.scene.field(mode))
+        past.own[:] = orders
+        unit("past").jumped(t, past._replace(bent=changes[None].astype(np.int64)))
+
+    def _within(self, field: Field) -> PastArrays:
+        """The arrays of the rules, with a table of what a field looks at."""
+        key = field.mode, field.held
+        if key not in self._reach:
+            self._reach[key] = reach([field])
+        uses, asks = self._reach[key]
+        return self.past()._replace(uses=uses, asks=asks)
 
     def _low(self, arc: Arc, x: StateVector) -> bool:
         """Whether delays cannot tell the states along a flight from the limit ``x``."""
@@ -523,7 +537,7 @@ class Memory:
             *(self.floats, self.ints, self._now, self._moves),
             *(pieces.spans, pieces.degrees, pieces.rows),
             *(*self.breaks.arrays, self._frames, seen, seen.max(axis=0), links.uses, links.asks),
-            *(links.steady, atol, links.given, links.ranged, links.parts, links.ops),
+            *(links.bent, atol, links.given, links.ranged, links.parts, links.ops),
             *(links.more, links.numbers),
             *(self.shown, self.sights, nodes(WINDOW_DEGREE).copy(), FROM_VALUES, TO_PLACES, TURN),
             *(np.zeros(n, dtype=np.int64), np.zeros((len(self._now), n), dtype=np.int64)),
@@ -574,13 +588,9 @@ class Memory:
         ends = window_ends(self.scene.spec)
         if fired:
             self._require_way(t, self.names[ends.index(fired) // 2])
-        key = field.mode, field.held
-        if key not in self._reach:
-            self._reach[key] = reach([field])
-        uses, asks = self._reach[key]
         self._looks(t, x)
         self.breaks.reserve()
-        past = self.past()._replace(uses=uses, asks=asks)
+        past = self._within(field)
         unit("past").ended(t, 0, ends.index(fired) if fired else -1, past)
         self.bends = bool(np.any((past.least <= 1) & (past.seen == 1)))
         self.until = t

@@ -62,7 +62,8 @@ class Piece:
     frame : tuple
         The reference time in two floats, then the midpoint relative to it, and half the length.
     mode : str
-        In a piece of an earlier run: the mode in which the jump at its start stays, if it does.
+        In a piece of an earlier run of the model: the mode in which the jump at its start stays, if
+        it does.
     """
 
     start: float

@@ -29,7 +29,7 @@ class Links(NamedTuple):
 
     uses: np.ndarray
     asks: np.ndarray
-    steady: np.ndarray
+    bent: np.ndarray
     given: np.ndarray
     ranged: np.ndarray
     parts: np.ndarray
@@ -107,7 +107,7 @@ class Shown:
             ends = after
         return Links(
             *reach(self.tables.fields),
-            self._steady(),
+            self._bent(),
             np.ascontiguousarray(np.concatenate([_table([], 2), *given])),
             np.ascontiguousarray(self._windows(_table(self.tables.bounds.given, 2))),
             _table(parts, 6),
@@ -117,11 +117,11 @@ class Shown:
             NO_PROGRAMS,
         )
 
-    def _steady(self) -> IntegerMatrix:
-        """For each guard the elements in which a jump by it leaves no corner."""
+    def _bent(self) -> IntegerMatrix:
+        """For each guard the elements whose derivatives a jump by it changes by itself."""
         tables, code = self.tables, self.tables.scene.code
         jumps = zip(tables.guards, tables.modes, strict=True)
-        rows = [smooth_through(code, guard.edge, mode) for guard, mode in jumps]
+        rows = [bent(code, guard.edge, mode) for guard, mode in jumps]
         return _table(rows, code.spec.dimension)
 
     def _windows(self, given: IntegerMatrix) -> IntegerMatrix:
@@ -130,14 +130,13 @@ class Shown:
         return given[among] - [0, self.first]
 
 
-def smooth_through(code: Lowered, edge: str, mode: str) -> Mask:
-    """The elements whose derivatives a jump that begins in a mode leaves as they are, as long as it
-    changes none of them (:meth:`.Lowered.steady`)."""
+def bent(code: Lowered, edge: str, mode: str) -> Mask:
+    """The elements whose derivatives a jump changes, apart from what it does to the state: those
+    that contacts push, as it may bring one to rest or release it; all, if it leaves the mode."""
     base, name = parted(mode)[0], released(edge)
     jump = next((jump for jump in code.spec.transitions if jump.name == name), None)
-    if jump is None or not jump.source == jump.to == base:
-        return np.zeros(code.spec.dimension, dtype=bool)
-    return code.steady(base)
+    stays = jump is not None and jump.source == jump.to == base
+    return code.pushed(base) if stays else np.ones(code.spec.dimension, dtype=bool)
 
 
 def reach(fields: Sequence[Field]) -> tuple[np.ndarray, np.ndarray]:

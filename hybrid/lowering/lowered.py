@@ -330,20 +330,13 @@ class Lowered:
             for k in range(len(self.spec.lags))
         )
 
-    def steady(self, mode: str) -> Mask:
-        """The elements whose derivatives depend on nothing that a contact of the mode pushes, and
-        on such elements alone: while none of these jumps, a jump within the mode leaves no corner
-        in them."""
-        return self.once(("steady", mode), lambda: self._steady(mode))  # type: ignore[no-any-return]
-
-    def _steady(self, mode: str) -> Mask:
-        uses = [used for used, _ in self.reach(mode, ())]
-        names = [e.name for e in self.spec.transitions if isinstance(e, ContactSpec)]
-        own = [name for name in names if self.contact_spec(name).source == mode]
-        moved = {place for name in own for place in self.pairing(name).velocities}
-        while more := {i for i, used in enumerate(uses) if used & moved} - moved:
-            moved |= more
-        return np.array([i not in moved for i in range(len(uses))])
+    def pushed(self, mode: str) -> Mask:
+        """The elements that contacts of a mode push: velocities of what their gaps are between."""
+        found = np.zeros(self.spec.dimension, dtype=bool)
+        for edge in self.spec.transitions:
+            if isinstance(edge, ContactSpec) and edge.source == mode:
+                found[list(self.pairing(edge.name).velocities)] = True
+        return found
 
     @cached_property
     def beside(self) -> list[int]:

@@ -413,9 +413,9 @@ class PastArrays(NamedTuple):
     uses, asks : Table
         For each element in each field the elements on which its derivative depends, and those that
         it sees through each lag.
-    steady : Table
-        For each guard 1 for the elements in which a jump by it leaves no corner, as long as it
-        changes none of them.
+    bent : Table
+        For each guard 1 for the elements whose derivatives a jump by it changes, apart from what it
+        does to the state.
     atol : Floats
     given, ranged, parts, ops, more, numbers
         Where windows are among the numbers of programs and bounds, and the operations on numbers
@@ -452,7 +452,7 @@ class PastArrays(NamedTuple):
     heard: Ints
     uses: Table
     asks: Table
-    steady: Table
+    bent: Table
     atol: Floats
     given: Table
     ranged: Table

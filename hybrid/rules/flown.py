@@ -91,7 +91,7 @@ def recorded(
             t, low = after(t, low, left.sums[tail, REMAINING])
             ints[SUMS_DONE] += 1
         else:
-            jumped(left, past, arc, t)
+            jumped(a, left, past, arc, t)
         ints[JUMPS_DONE] += 1
         past.floats[SINCE], past.floats[SINCE_LOW] = t, low
 
@@ -150,11 +150,11 @@ def turned(past: PastArrays, i: int, c: Floats, length: float, n: int) -> None:
                 row[j] += past.turn[j, k] * term
 
 
-def jumped(left: Left, past: PastArrays, jump: int, t: float) -> None:
+def jumped(a: AutomatonArrays, left: Left, past: PastArrays, jump: int, t: float) -> None:
     """Note the breaking point of a jump."""
     for i in range(past.own.shape[0]):
         past.own[i] = 1 if left.before[jump, i] == left.after[jump, i] else 0
-    corners(past, left.fired[jump])
+    corners(past, field_of(a, left.fired[jump]), left.fired[jump])
     broken(past, t)
 
 
@@ -191,7 +191,7 @@ def tail_kept(
             return False
         w = row[RATIO] ** ints[FLIGHTS_DONE]
         since = value(curve, degree, 0, w) if ints[FLIGHTS_DONE] > 0 else 0.0
-        jumped(left, past, jump, t + since)
+        jumped(a, left, past, jump, t + since)
         copied(left.after[jump], state)
         x, v = left.after[jump], row[LAST_SPEED]
         if ints[FLIGHTS_DONE] > 0:
@@ -220,7 +220,7 @@ def tail_kept(
         past.own[i] = 1
     past.degrees[ints[PIECES_KEPT]] = 1
     kept(past)
-    corners(past, guard)
+    corners(past, field, guard)
     broken(past, end)
     ints[FLIGHTS_DONE] = 0
     return True

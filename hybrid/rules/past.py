@@ -81,13 +81,13 @@ from .places import (
     WINDOW_END,
     T,
 )
-from .record import SMOOTH_ORDER, broken, following, slack
+from .record import SMOOTH_ORDER, broken, corners, following, integrated, slack
 from .runs import go
 from .ties import FURTHEST_APART, rounding_there, since
 from .windows import AT_THE_END, BACKWARDS, FIXED, MOVES_ON, confirmed, nearer_guess, read, stays
 from .zeros import EPS
 
-__all__ = ("bound", "ended", "fires_there", "look_back")
+__all__ = ("bound", "ended", "fires_there", "jumped", "look_back")
 
 #: The highest order of breaking points that are noted once the place of a lag has moved backwards:
 #: each of them is then seen many times, and so are those that follow from it.
@@ -330,6 +330,12 @@ def ended(t: float, field: int, fired: int, past: PastArrays) -> None:
     past.ints[TIGHT] = past.ints[TIGHT] + 1 if few else min(past.ints[TIGHT], 0)
 
 
+def jumped(t: float, past: PastArrays) -> None:
+    """Note the breaking point of a jump in the first field, by the first guard, of the tables."""
+    corners(past, 0, 0)
+    broken(past, t)
+
+
 def meets(k: int, t: float, fired: int, past: PastArrays) -> tuple[bool, float]:
     """Whether a lag has reached the end of its window, and which one. A lag that has just turned
     backwards there goes on so, whichever other lag is there too."""
@@ -357,11 +363,7 @@ def carried(field: int, past: PastArrays) -> int:
                 if past.asks[field * n + i, k * n + e] == 1:
                     own[i] = min(own[i], past.least[k, e])
         own[i] += 1
-    for _ in range(n):
-        for i in range(n):
-            for j in range(n):
-                if j != i and past.uses[field * n + i, j] == 1:
-                    own[i] = min(own[i], own[j] + 1)
+    integrated(past, field)
     least = SMOOTH_ORDER
     for i in range(n):
         if past.heard[i] == 1:

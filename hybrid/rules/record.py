@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from .arrays import PastArrays
-from .places import BREAKS, PIECES_KEPT, RTOL
+from .places import BREAK_ORDER, BREAKS, PIECES_KEPT, RTOL
 
 #: Columns of a piece's row: where it begins and ends; the time from which it is counted, in two
 #: floats, and there its middle and half its length.
@@ -56,7 +56,7 @@ def broken(past: PastArrays, t: float) -> None:
     merged."""
     place, seen = past.ints[BREAKS], False
     for i in range(past.own.shape[0]):
-        seen = seen or (past.heard[i] == 1 and past.own[i] < SMOOTH_ORDER)
+        seen = seen or (past.heard[i] == 1 and past.own[i] <= past.ints[BREAK_ORDER])
     if not seen:
         return
     if place > 0 and t <= past.times[place - 1] + slack(t):
@@ -119,12 +119,21 @@ def allowed(past: PastArrays, i: int, size: float) -> float:
     return WINDOW_SHARE * (past.atol[i] + past.floats[RTOL] * size) + SHOWN_ROUNDING * size
 
 
-def corners(past: PastArrays, guard: int) -> None:
-    """The orders of a jump's breaking point in ``past.own``, where those that it changes are 0: a
-    corner in all others, but for those that it leaves smooth."""
-    n, smooth = past.own.shape[0], True
-    for i in range(n):
-        smooth = smooth and not (past.own[i] == 0 and past.steady[guard, i] == 1)
-    for i in range(n):
+def corners(past: PastArrays, field: int, guard: int) -> None:
+    """Find the orders of a jump's breaking point, of which those that are 0 in ``past.own`` are
+    known: of what it changes."""
+    for i in range(past.own.shape[0]):
         if past.own[i] > 0:
-            past.own[i] = SMOOTH_ORDER if smooth and past.steady[guard, i] == 1 else 1
+            past.own[i] = 1 if past.bent[guard, i] == 1 else SMOOTH_ORDER
+    integrated(past, field)
+
+
+def integrated(past: PastArrays, field: int) -> None:
+    """Lower the orders of the elements to one more than of those on which their derivatives
+    depend."""
+    n, own = past.own.shape[0], past.own
+    for _ in range(n):
+        for i in range(n):
+            for j in range(n):
+                if j != i and past.uses[field * n + i, j] == 1:
+                    own[i] = min(own[i], own[j] + 1)
