@@ -104,19 +104,22 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     to be made once these are answered.
     """
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
+    low_flight = now.ints[WAS_LOW] == 1
+    # what has been asked for on the way is known: the state is in its place
+    fits = low_flight or now.ints[PHASE] == STRIKES
+    if a.guards[now.ints[FIRED], KIND] == CLOCK:
+        t, low = now.floats[DUE], 0.0
+        fits = fits or onto(a, now.ints[FIELD], t, now.end, room, now.end)
+        if fits and not rung(a, now, room, t, now.end):
+            return passed(a, run, now, room, t)
     guard, place = now.ints[FIRED], now.ints[JUMPS_MADE]
     kind, to = a.guards[guard, KIND], a.guards[guard, TO]
-    before, behind, low_flight = left.before[place], left.after[place], now.ints[WAS_LOW] == 1
+    before, behind = left.before[place], left.after[place]
     status, used, power = JUMP, a.guards[guard, OWN], 1
     made = to != NONE and (kind == RELEASE or a.guards[guard, RESET] >= 0)
-    judged, again = surfaced(a, now, kind) and remembered(a, now, guard), now.ints[PHASE] == STRIKES
-    fits = low_flight or again  # what has been asked for is known: the state is in its place
-    if kind == CLOCK:
-        t, low = now.floats[DUE], 0.0
-    if not fits and (kind == CLOCK or (made and not judged and kind not in (SWITCH, LEAVE))):
+    judged = surfaced(a, now, kind) and remembered(a, now, guard)
+    if not fits and made and not judged and kind not in (SWITCH, LEAVE, CLOCK):
         fits = onto(a, now.ints[FIELD], t, now.end, room, now.end)
-    if kind == CLOCK and fits and not rung(a, now, room, t, now.end):
-        return passed(a, run, now, room, t)
     if judged:
         status = JUMP
     elif kind in (SWITCH, LEAVE):
