@@ -178,8 +178,7 @@ class Memory:
         self._turned, self.bends = (-np.inf, 0), False
         for piece in history:
             if piece.orders is not None:
-                row = code.pushed(piece.mode) if piece.mode else None
-                self._break(piece.start, piece.orders, piece.mode, row)
+                self._break(piece.start, piece.orders, piece.mode, code.pushed(piece.mode))
         self.breaks.add(plan.t0, self._start(x))
 
     @property
@@ -313,12 +312,13 @@ class Memory:
         self.pieces.add(piece_of(last_piece, since, 0.0))
         self._break(part.t1, np.ones(len(tail.x_inf), dtype=int), mode, row)
 
-    def _break(self, t: float, orders: Integers, mode: str, changes: Mask | None) -> None:
+    def _break(self, t: float, orders: Integers, mode: str, changes: Mask) -> None:
         """Record the breaking point of a jump, if lags see it: of order 0 in what it changes.
 
-        ``mode``, ``changes``: the mode before it and :func:`.windows.bent`, if these are known.
+        ``mode``, ``changes``: the mode before it, empty if it is not known, and what it bends
+        (:func:`.windows.bent`).
         """
-        if changes is None:
+        if not mode:
             self.breaks.add(t, orders)
             return
         self.breaks.reserve()

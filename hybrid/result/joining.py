@@ -86,9 +86,14 @@ def _options(run: Solution, more: Solution) -> dict[str, Any]:
 
 def _released(points: Sequence[Accumulation], more: Solution) -> list[Accumulation]:
     """The accumulations of a run, with the release times of rests that ended in the next run."""
-    lasting = [point for point in points if point.mode and point.t_release is None]
-    left = {id(p): next((a.t0 for a in more.parts if not p.stays(a.mode)), None) for p in lasting}
-    return [attrs.evolve(p, t_release=left.get(id(p), p.t_release)) for p in points]
+    return [attrs.evolve(point, t_release=_left(point, more)) for point in points]
+
+
+def _left(point: Accumulation, more: Solution) -> float | None:
+    """When what followed an accumulation was left, in its run or in the next."""
+    if point.mode is None or point.t_release is not None:
+        return point.t_release
+    return next((part.t0 for part in more.parts if not point.stays(part.mode)), None)
 
 
 def _stats(one: Stats | None, other: Stats | None) -> Stats | None:

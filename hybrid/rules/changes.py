@@ -501,7 +501,6 @@ def arrives(
         abs(rate) < SLOW_RATE * terms and drowned(s, own, row, t, before, rate, room)
     ):
         return False
-    values(s.programs, own[GRADIENT], t, before, room.sides, room.c, room.work, across)
     for k in range(state.shape[1]):
         state[0, k] = 0.0
         state[0, k] = -product(across, state, 1 + n, columns, 0, k) / rate
@@ -515,7 +514,7 @@ def drowned(
 ) -> bool:
     """Whether a guard's rate is about what it changes by in a spacing of the time: when it is zero
     for neighbours is then rounding."""
-    flow, across, n = room.lines[NEAR_ROW], room.lines[GRADIENT_ROW], x.shape[0]
+    flow, across, n = room.lines[NEAR_ROW], room.lines[FAR_ROW], x.shape[0]
     later = t + MANY_SPACINGS * (math.nextafter(abs(t), math.inf) - abs(t))
     rates(s, row[SLOPES_PROGRAM], later, x, room, flow)
     values(s.programs, own[GRADIENT], later, x, room.sides, room.c, room.work, across)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import takewhile
 from math import ulp
 from typing import TYPE_CHECKING, Any
@@ -146,7 +146,7 @@ class Recorder:
     def keep(self, part: Part) -> None:
         """Keep a part: whole, or only its ends and the samples asked for."""
         plan = self.plan
-        self._began(part.mode, part.t0)
+        self._began([part.mode], [part.t0])
         self._sample(part)
         if isinstance(part, TailPart) and self.memory is not None:
             self.memory.tail(part)
@@ -182,8 +182,7 @@ class Recorder:
             flights = flights.later()
         self._sample(flights)
         if self._lasting:
-            for mode, t in zip(flights.modes, [flights.t, *flights.jumps.t], strict=False):
-                self._began(mode, float(t))
+            self._began(flights.modes.tolist(), [flights.t, *flights.jumps.t[:-1]])
         if flights.steps is not None and not self.plan.dense:
             flights = attrs.evolve(flights, steps=None)
         self.log.add(flights)
@@ -291,12 +290,14 @@ class Recorder:
         points = self.zeno[-HEAP:]
         return list(dict.fromkeys(edge for point in points for edge in point.edges))
 
-    def _began(self, mode: str, t: float) -> None:
-        """Note the start of an arc: what followed an accumulation, and is not in that mode any
-        more, has been left."""
+    def _began(self, modes: Sequence[str], starts: Sequence[float]) -> None:
+        """Note the modes and starts of arcs: what followed an accumulation was left where the first
+        begins that does not belong to it."""
         for point in self._lasting:
-            if not point.stays(mode):
-                point.t_release = t
+            others = {mode for mode in dict.fromkeys(modes) if not point.stays(mode)}
+            if others:
+                arcs = zip(modes, starts, strict=True)
+                point.t_release = float(next(t for mode, t in arcs if mode in others))
         self._lasting = [point for point in self._lasting if point.t_release is None]
 
 
