@@ -26,7 +26,7 @@ from .arrays import (
     Sums,
     Table,
 )
-from .clocks import after
+from .clocks import after, field_of
 from .guards import NEAR
 from .jets import afresh, values
 from .kinks import count
@@ -36,7 +36,6 @@ from .places import (
     AT,
     AT_LIMIT,
     AT_REST,
-    CLOCKS_END,
     CONSTRAINED,
     CURVE_DEGREE,
     CURVE_ROWS,
@@ -252,12 +251,7 @@ def until(now: Now, left: Left, begins: int, arc: int) -> int:
 
 def flown_in(a: AutomatonArrays, now: Now, left: Left, arc: int, jumps: int) -> int:
     """The field of an arc: the one that watches the guard that ended it, or the present one."""
-    field = now.ints[FIELD]
-    if arc < jumps:
-        field, guard = 0, left.fired[arc]
-        while not a.fields[field, GUARDS] <= guard < a.fields[field, CLOCKS_END]:
-            field += 1
-    return field
+    return field_of(a, left.fired[arc]) if arc < jumps else now.ints[FIELD]
 
 
 def put(change: Matrix, row: int, found: Matrix, place: int) -> None:

@@ -57,6 +57,14 @@ def after(t: float, low: float, duration: float) -> tuple[float, float]:
     return now, low - (now - total)
 
 
+def field_of(a: AutomatonArrays, guard: int) -> int:
+    """The field in which a guard, or a clock, is watched."""
+    field = 0
+    while not a.fields[field, GUARDS] <= guard < a.fields[field, CLOCKS_END]:
+        field += 1
+    return field
+
+
 def arc_end(run: Floats, now: Now) -> float:
     """The latest end of an arc: the next ring of a clock, or else the end of the run, of the
     windows of the past or of the piece of a signal."""

@@ -7,7 +7,7 @@ import math
 from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Now, PastArrays, Sums
 from .chebyshev import value
-from .clocks import after
+from .clocks import after, field_of
 from .flights import fly
 from .lengths import LAST_TERMS
 from .places import (
@@ -22,7 +22,6 @@ from .places import (
     FORGETS,
     FULL,
     GUARDS,
-    GUARDS_END,
     JUMPS_BEFORE,
     JUMPS_DONE,
     JUMPS_MADE,
@@ -238,11 +237,3 @@ def near(limit: Floats, sums: Sums, past: PastArrays, pieces: int) -> bool:
                 if not abs(there - limit[i]) <= allowed(past, i, abs(limit[i])):
                     return False
     return True
-
-
-def field_of(a: AutomatonArrays, guard: int) -> int:
-    """The field in which a guard is watched."""
-    field = 0
-    while not a.fields[field, GUARDS] <= guard < a.fields[field, GUARDS_END]:
-        field += 1
-    return field

@@ -14,9 +14,9 @@ import math
 
 from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Look, Now, PastArrays, Room, Sums
-from .clocks import after
+from .clocks import after, field_of
 from .contacts import values
-from .flown import field_of, fits, recorded, walked
+from .flown import fits, recorded, walked
 from .guards import GUARD_ROUNDING, row_of, sizes_of
 from .guesses import SINCE_PLACE, TO_PLACE
 from .inputs import put_in
