@@ -15,8 +15,10 @@ from ..errors import TraceError
 BY_KIND = {
     "TracerBoolConversionError": "a choice by the value of a state, time or parameter: write "
     "jnp.where(condition, a, b) for `if`, jnp.maximum for `max`, or two modes",
-    "TracerArrayConversionError": "a numpy function of a state: use the one of jax.numpy",
-    "ConcretizationTypeError": "float() or a function of math of a state: use that of jax.numpy",
+    "TracerArrayConversionError": "a numpy function of a state, time or parameter: use the "
+    "one of jax.numpy",
+    "ConcretizationTypeError": "float() or a function of math of a state, time or parameter: "
+    "use that of jax.numpy",
     "TracerIntegerConversionError": "an index by value: write jnp.where, or index by a constant",
 }
 BY_TEXT = {
