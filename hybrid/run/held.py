@@ -39,8 +39,8 @@ def hidden_corner(field: Field, t: float, segment: Segment, allowed: StateVector
     parts = [(segment.start, segment.end)]
     while parts:
         begin, end = parts.pop()
-        off, size = _off(field, t, segment, begin, end)
-        if (off <= STRAYS * (allowed + EPS * size)).all():
+        off, rounding = _off(field, t, segment, begin, end)
+        if (off <= STRAYS * (allowed + rounding)).all():
             continue
         middle = 0.5 * (begin + end)
         if end - begin <= least:
@@ -53,13 +53,14 @@ def _off(
     field: Field, t: float, segment: Segment, begin: float, end: float
 ) -> tuple[StateVector, StateVector]:
     """How far the state on what holds it goes otherwise, in a part of a step, than the flow; and
-    the size of what that is the difference of."""
+    the rounding of what that is the difference of, that of the time included."""
     middle, half = 0.5 * (begin + end), 0.5 * (end - begin)
     first = field.along(t + begin, segment(begin))
     last = field.at_end(t + end, segment(end))
-    rates = [_rate(field, t + tau, segment(tau)) for tau in middle + half * GAUSS_PLACES]
-    moved = last - first - half * (GAUSS_WEIGHTS @ np.array(rates))
-    return np.abs(moved), np.abs(first) + np.abs(last)
+    rates = np.array([_rate(field, t + tau, segment(tau)) for tau in middle + half * GAUSS_PLACES])
+    moved = last - first - half * (GAUSS_WEIGHTS @ rates)
+    late = np.spacing(abs(t) + end) * np.abs(rates).max(axis=0)
+    return np.abs(moved), EPS * (np.abs(first) + np.abs(last)) + late
 
 
 def _rate(field: Field, t: float, x: StateVector) -> StateVector:

@@ -81,3 +81,16 @@ def test_errors_are_measured_where_forces_are_known_to_the_rounding_of_the_time(
     for point, at in zip(found, exact, strict=True):
         # what a spacing of the time does to a series of fifty impacts, and not much more
         assert abs(point.t - t0 - at) <= point.t_error <= 1e-12 * abs(t0)
+
+
+@pytest.mark.parametrize("t0", [2.0**16, 1e6, -1e7])
+def test_a_body_at_rest_stays_on_a_table_whose_place_is_known_to_the_rounding_of_the_time(way, t0):
+    """At tolerances smaller than what a spacing of the time moves the table: no corner is seen in
+    that. The release is where the table falls as fast as bodies do, at a phase of arcsin(1 / 1.2);
+    its time is rounded, as are the state and its force."""
+    model, mode = Table(t0=t0), "flight.rest(hit)"
+    start = {"x": 1.2 * np.sin(-2.0), "v": 1.2 * np.cos(-2.0)}
+    result = way.run(model, start, (t0 - 2.0, t0 + 1.5), mode=mode, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        result.times[0] - t0, np.arcsin(1.0 / 1.2), atol=8 * np.spacing(abs(t0))
+    )
