@@ -733,3 +733,50 @@ def test_walls_that_come_near_and_do_not_touch_have_no_limit(least, rtol, solver
     fine = hy.simulate(Narrow(least=least), start, (0.0, 1.5), solver=solver, rtol=1e-13)
     assert len(run.jumps) == len(fine.jumps)
     assert run.final.x == pytest.approx(fine.final.x, abs=1e-3)
+
+
+class DeadBeside(hy.Automaton):
+    """A ball whose gravity changes at each impact, beside one that may lie dead on its floor."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    w = hy.state()
+    r: float = hy.parameter(0.0)
+
+    @hy.mode(initial=True)
+    def light(self, t, s):
+        return s.v, -1.0, s.w, -1.0
+
+    @hy.mode
+    def heavy(self, t, s):
+        return s.v, -2.0, s.w, -1.0
+
+    @hy.mode(limit_of=("to_heavy", "to_light"))
+    def rest(self, t, s):
+        return 0.0 * s.v, 0.0 * s.v, s.w, -1.0
+
+    @hy.edge(light, to=heavy, guard=lambda self, t, s: s.x)
+    def to_heavy(self, t, s):
+        return s.replace(v=-0.5 * s.v)
+
+    @hy.edge(heavy, to=light, guard=lambda self, t, s: s.x)
+    def to_light(self, t, s):
+        return s.replace(v=-0.5 * s.v)
+
+    on_light = hy.contact(light, gap=lambda self, t, s: s.y, restitution="r")
+    on_heavy = hy.contact(heavy, gap=lambda self, t, s: s.y, restitution="r")
+    on_rest = hy.contact(rest, gap=lambda self, t, s: s.y, restitution="r")
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+@pytest.mark.parametrize("r", [0.0, 0.3])
+@pytest.mark.parametrize("y", np.linspace(0.3, 5.0, 12).tolist())
+def test_a_body_may_lie_dead_beside_a_limit(solver, r, y):
+    """The impact that leaves it no speed may be the last on its floor before the limit, or be on
+    the floor of the other mode. Two flights of half the time of the fall lead to a quarter."""
+    limit = math.sqrt(2.0) * 7.0 / 3.0
+    run = hy.simulate(DeadBeside(r=r), [1.0, 0.0, y, 0.0], (0.0, 6.0), solver=solver)
+    point = next(point for point in run.zeno if len(point.edges) == 2)
+    assert abs(point.t - limit) <= point.t_error <= 1e-8
+    assert r > 0.0 or (run.mode == "rest.rest(on_rest)" and run.final.y == 0.0)

@@ -314,7 +314,8 @@ def _go_on_from(
 def _off_beside(driver: Driver, name: str, x_inf: StateVector) -> StateVector:
     """How far the state of a body that goes on with its impacts may be off at the limit of another:
     the rounding of its gap puts off an impact by more the slower it is, and those behind it by
-    ``(1 + r) / (1 - r)`` times that, as in :func:`.comparison._late`."""
+    ``(1 + r) / (1 - r)`` times that, as in :func:`.comparison._late`. None are behind an impact that
+    leaves it no speed."""
     last = driver.cycles.last_of(name)
     if last is None:
         return np.zeros(len(x_inf))
@@ -323,7 +324,9 @@ def _off_beside(driver: Driver, name: str, x_inf: StateVector) -> StateVector:
     gap = field.guards[field.column(name)]
     size, fast, _ = driver.scene.rounding(gap, field)(t, x)
     _, speed, force = gap.lie(t, x)
-    speed = max(abs(speed), EPS * fast)
+    speed = abs(speed)
+    if speed <= EPS * fast:
+        return np.zeros(len(x_inf))
     low = unit("hops").drowns(speed, force, driver.reach(last.x))
     r = min(driver.scene.contact(name).law(t, x, -speed), 1.0 - LEAST_LOSS)
     time = (GUARD_ROUNDING if low else 1.0) * EPS * size / speed * (1.0 + r) / (1.0 - r) ** 2
