@@ -339,6 +339,14 @@ class Memory:
         there = np.concatenate([s(s.start + s.length * nodes(4)) for s in arc.segments])
         return self._near(there, x)
 
+    def nears(self, since: float, x: StateVector) -> bool:
+        """Whether delays cannot tell the states since a time from the limit ``x``."""
+        first = int(np.searchsorted(self.pieces.ends, since, side="right"))
+        recent = (self.pieces.piece(place) for place in range(first, self.pieces.count))
+        spans = ((piece, piece.start, piece.end - piece.start) for piece in recent)
+        there = [piece.state(start, length * nodes(4)) for piece, start, length in spans]
+        return self._near(np.concatenate(there), x)
+
     def stays(self, part: TailPart) -> bool:
         """Whether the present windows are valid for the flights of a tail up to the limit.
 

@@ -214,12 +214,17 @@ def pass_sum(driver: Driver, tail: Tail, at_rest: StateVector | None = None) -> 
 
 
 def pass_cycle(
-    driver: Driver, found: CycleLimit, x: StateVector, mode: str, late: float = 0.0
+    driver: Driver,
+    found: CycleLimit,
+    x: StateVector,
+    mode: str,
+    late: float = 0.0,
+    moved: StateVector | float = 0.0,
 ) -> None:
     """Pass the accumulation point of a cycle; ``x`` and ``mode`` are those after the last jump.
 
     The arc from there to the limit is recorded as a straight line. ``late``: by how much the limit
-    may come later, as far as rounding hides it.
+    may come later, as far as rounding hides it; ``moved``: how far from it the run goes on.
     """
     record, held = driver.record, driver.still_held(mode, x)
     segments = [straight(0.0, found.remaining, x, found.x_inf)] if found.remaining else []
@@ -237,7 +242,8 @@ def pass_cycle(
         if time > 0.0:
             off = time * np.abs(there.rhs(driver.t, found.x_inf.tolist()))
             found = attrs.evolve(found, t_error=found.t_error + time, x_error=found.x_error + off)
-    _go_on_from(driver, found, field, found.edges, found.ratio, after, sides)
+    ends = found.edges, found.ratio, after, sides
+    _go_on_from(driver, found, field, *ends, moved=moved)
 
 
 def _unlike(driver: Driver, field: Field, found: CycleLimit) -> float:
@@ -280,6 +286,7 @@ def _go_on_from(
     after: tuple[str, tuple[str, ...]] | None,
     sides: dict[str, int],
     at_rest: StateVector | None = None,
+    moved: StateVector | float = 0.0,
 ) -> None:
     """Record an accumulation and begin what follows it: a mode and the contacts held there."""
     record, goes_on = driver.record, driver.plan.zeno in ("rest", "truncate")
@@ -308,14 +315,15 @@ def _go_on_from(
         driver.begin(driver.own.field(driver.scene.name(*after)), at_rest, Jumped)
         driver.seen = np.maximum(driver.seen, np.abs(limit.x_inf))
     elif after:
-        driver.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))
+        come = Jumped(held=after[1], limit=frozenset(edges))
+        driver.enter(after[0], limit.x_inf + moved, come)
 
 
 def _off_beside(driver: Driver, name: str, x_inf: StateVector) -> StateVector:
     """How far the state of a body that goes on with its impacts may be off at the limit of another:
     the rounding of its gap puts off an impact by more the slower it is, and those behind it by
-    ``(1 + r) / (1 - r)`` times that, as in :func:`.comparison._late`. None are behind an impact that
-    leaves it no speed."""
+    ``(1 + r) / (1 - r)`` times that, as in :func:`.comparison._late`. An impact that leaves it no
+    speed has none behind it."""
     last = driver.cycles.last_of(name)
     if last is None:
         return np.zeros(len(x_inf))

@@ -27,6 +27,7 @@ from ..rules.lanes import (
     WINDOW_PART,
 )
 from ..rules.zeros import EPS
+from ..trajectory.clock import Instant
 from ..zeno.cycle import CycleLimit, accelerated, limit, period
 
 if TYPE_CHECKING:
@@ -176,6 +177,16 @@ class Turn:
         return all(np.all(np.abs(x - last) <= slack) for x in self.limits)
 
 
+class Ahead(NamedTuple):
+    """A limit that is known, to which the run flies on: when it is, the limit and the last turn as
+    they were found, and how many jumps the run had made."""
+
+    t: Instant
+    found: CycleLimit
+    turn: Turn
+    made: int
+
+
 class Cycles:
     """The jumps of a run since its last accumulation.
 
@@ -191,10 +202,13 @@ class Cycles:
         How many jumps there must be before impacts at one instant are looked at once more.
     beside : sequence of int
         Elements of the state on which nothing else depends; they need not have a limit.
+    ahead : Ahead or None
+        The limit to which the run flies on.
     """
 
     def __init__(self, beside: Sequence[int] = ()) -> None:
         self.beside = beside
+        self.ahead: Ahead | None = None
         self.longest = self.spent = 0.0
         self.asked = self.stands = False
         self.next, self.patience = 2 * LEAST_WINDOW, 0
@@ -321,9 +335,30 @@ class Cycles:
         """Look for a limit again at the next jump."""
         self.asked, self.stands = True, False
 
+    def fly_to(self, now: Instant, found: CycleLimit, turn: Turn, made: int) -> None:
+        """Fly on to a limit, and look again at the next jump."""
+        if self.ahead is None:
+            self.ahead = Ahead(now.after(found.remaining), found, turn, made)
+        self.again()
+
+    def known(self, now: Instant, made: int) -> tuple[CycleLimit, Turn] | None:
+        """The limit to which the run flies on, if its jumps still lead there, and a turn ends
+        here."""
+        if self.ahead is None:
+            return None
+        at, found, turn, before = self.ahead
+        remaining = now.until(at.t) + at.low
+        if not remaining > 0.0 or self.period != len(found.edges):
+            self.ahead = None
+        elif (made - before) % (len(turn.seen) - 1):
+            self.again()
+        else:
+            return attrs.evolve(found, remaining=remaining), turn
+        return None
+
     def forget(self) -> None:
         """Start anew, after an accumulation."""
-        self.before, self.seen = self.latest, NO_JUMPS
+        self.before, self.seen, self.ahead = self.latest, NO_JUMPS, None
         self.next, self.stands, self.patience = 2 * LEAST_WINDOW, False, 0
 
     @property

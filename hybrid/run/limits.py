@@ -10,6 +10,7 @@ import attrs
 import numpy as np
 
 from ..lowering import Field, Guard, Scene
+from ..rules.flown import BRIEF_FLIGHT
 from ..rules.lanes import STILL_JUMPS
 from ..rules.sights import BOX_MARGIN
 from ..rules.zeros import EPS
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 #: ``DROWNED``. Later turns are known less well, so the limit is taken here, whatever the
 #: tolerances.
 DROWNING, DROWNED = 1e-6, EPS / 1e-6
+
+#: What is less than so many times its error at a limit may be zero.
+SURELY = 16.0
 
 #: Points on the way to the limit at which the flow is sampled, and how linear it must be.
 SAMPLES, STRAIGHTNESS = 64, 1e-2
@@ -227,6 +231,10 @@ def pass_limit(driver: Driver, mode: str) -> bool:
         found = attrs.evolve(found, remaining=soon, t_error=found.t_error + over)
     if driver.scene.conditional.intersection(found.edges):  # which may fail before the limit
         return False
+    if _shown(driver, found):
+        cycles.fly_to(driver.record.now, found, turn, driver.record.made)
+        return False
+    cycles.ahead = None
     if not _tire(driver, found, turn):
         return False
     after = driver.scene.spec.mode_after(found.edges)
@@ -240,8 +248,26 @@ def pass_limit(driver: Driver, mode: str) -> bool:
             cycles.again()
             return False
         found = attrs.evolve(found, limits=_named(turn))
-    pass_cycle(driver, found, cycles.seen.x[-1].copy(), mode)
+    moved = _uncertain(driver.scene, turn, found) if plan.shaken else 0.0
+    pass_cycle(driver, found, cycles.seen.x[-1].copy(), mode, moved=moved)
     return True
+
+
+def _uncertain(scene: Scene, turn: Turn, found: CycleLimit) -> Numbers:
+    """What is not known of the state at the limit of a cycle: a run with which another is compared
+    is moved by it, as it would else go on with the same error.
+
+    Not of what the guards of the cycle, and their rates, are made of, as these are zero there or
+    come to rest; nor of what may be zero for all that is known of it.
+    """
+    x, off, own = found.x_inf, found.x_error.copy(), set[int]()
+    for jump in turn.seen[1:]:
+        field = scene.field(jump.mode)
+        uses, reach = field.guard(jump.edge).uses, field.code.reach(field.mode, field.held)
+        own = own.union(uses, *(reach[i][0] for i in uses))
+    off[[*own, *range(scene.spec.flows, len(x))]] = 0.0
+    off[np.abs(x) <= SURELY * off] = 0.0
+    return off * (-1.0) ** np.arange(len(x))
 
 
 def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
@@ -255,11 +281,25 @@ def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
     return collapse(driver.scene, mode, cycles.last(STILL_JUMPS), cycles.still)
 
 
+def _shown(driver: Driver, found: CycleLimit) -> bool:
+    """Whether delays can tell the last turn from the straight line that leads on to its limit, and
+    the jumps that follow are not yet lost in rounding."""
+    memory, cycles = driver.record.memory, driver.cycles
+    if memory is None or driver.plan.memory == "restart":
+        return False
+    since = cycles.last(len(found.edges) + 1)[0].t
+    short = max(DROWNING * cycles.longest, BRIEF_FLIGHT * np.spacing(abs(driver.t)))
+    return bool(found.remaining > short) and not memory.nears(since, found.x_inf)
+
+
 def _sought(driver: Driver) -> tuple[CycleLimit, Turn] | None:
     """The limit of the last jumps, if it is known to the accuracy wanted, or as well as rounding
     will ever show it."""
     cycles, plan = driver.cycles, driver.plan
     rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
+    known = cycles.known(driver.record.now, driver.record.made)
+    if known is not None or cycles.ahead is not None:
+        return known
     if cycles.stands:
         return cycles.reached(rtol, atol)
     own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
