@@ -843,5 +843,5 @@ def test_what_is_not_known_at_a_limit_is_not_known_behind_it(solver):
             Geared(g=g, h=h, r=r, q=q), [x, 0.0, y, 0.0], (0.0, limits[1] + 1.0), solver=solver
         )
         assert [point.mode for point in run.zeno] == ["one", "none"]
-        for point, limit in zip(run.zeno, limits, strict=True):
-            assert abs(point.t - limit) <= point.t_error <= 1e-6
+        for point, at in zip(run.zeno, limits, strict=True):
+            assert abs(point.t - at) <= point.t_error <= 1e-6

@@ -433,16 +433,15 @@ class Remembers(hy.Automaton):
 
     def height(self, back):
         """The height at a time before the limit."""
-        starts, heights, speeds, forces = [0.0], [1.0], [0.0], [2.0]
-        u, t = 2.0 * self.r, 1.0
+        flights = [(0.0, 1.0, 0.0, 2.0)]
+        t, u = 1.0, 2.0 * self.r
         while u > 1e-20:
-            force = 5.0 - forces[-1]
-            for column, own in zip((starts, heights, speeds, forces), (t, 0.0, u, force)):
-                column.append(own)
+            force = 5.0 - flights[-1][3]
+            flights.append((t, 0.0, u, force))
             t, u = t + 2.0 * u / force, self.r * u
-        k = np.searchsorted(starts, t - back) - 1
-        s = t - back - starts[k]
-        return heights[k] + speeds[k] * s - 0.5 * forces[k] * s * s
+        begin, x, u, force = [own for own in flights if own[0] <= t - back][-1]
+        s = t - back - begin
+        return x + u * s - 0.5 * force * s * s
 
 
 @pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])

@@ -297,9 +297,9 @@ def _sought(driver: Driver) -> tuple[CycleLimit, Turn] | None:
     will ever show it."""
     cycles, plan = driver.cycles, driver.plan
     rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
-    known = cycles.known(driver.record.now, driver.record.made)
-    if known is not None or cycles.ahead is not None:
-        return known
+    ahead = cycles.known(driver.record.now, driver.record.made)
+    if ahead is not None or cycles.ahead is not None:
+        return ahead
     if cycles.stands:
         return cycles.reached(rtol, atol)
     own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
