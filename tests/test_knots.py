@@ -5,6 +5,8 @@ import pytest
 
 import hybrid as hy
 
+from .systems import without_loop
+
 SOLVERS = ["taylor", "scipy", "diffrax"]
 
 #: Flows are polynomials of second degree, which every solver flies to rounding.
@@ -26,6 +28,20 @@ class Floor(hy.Automaton):
         return s.v, -10.0 + self.push(t)
 
     impact = hy.contact(flight, gap=lambda self, t, s: s.x - self.floor(t), restitution=0.5)
+
+
+class Road(hy.Automaton):
+    """A bead on a road."""
+
+    x = hy.state()
+    v = hy.state()
+    road = hy.signal(kind="linear", outside="hold")
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -10.0 - 0.5 * s.v - 2.6 * s.x
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - self.road(t), restitution=0.5)
 
 
 class Marked(hy.Automaton):
@@ -170,3 +186,18 @@ def test_an_event_a_few_roundings_before_a_knot_fires_once(solver, x0, guard):
                 Passing(load=load, **where), {"x": x0, "v": 0.0}, (0.0, 3.0), solver=solver
             )
             assert (run.final.n, len(run.jumps)) == (1, 1), (time, spacings)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_body_on_a_road_is_there_but_for_rounding_where_the_road_is_at_zero(solver, monkeypatch):
+    """There both are zero, and their rounding is that of the heights that they come from. Where
+    the slope ends the body is thrown off."""
+    without_loop(monkeypatch)
+    draw = np.random.default_rng(0)
+    for _ in range(12):
+        begin, end = draw.uniform(-1.0, 0.0), draw.uniform(1.0, 3.0)
+        model = Road(road=([0.0, end], [begin, 0.0]))
+        start = [begin, -begin / end]
+        run = hy.simulate(model, start, (0.0, end + 0.01), mode="flight.rest(impact)", solver=solver)
+        assert run.jumps.edge.tolist()[:1] == ["impact.release"]
+        assert run.jumps.t[0] == end

@@ -17,7 +17,7 @@ from ..rules.arrays import InputArrays
 from ..rules.guards import GUARD_ROUNDING, NEAR
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
-from .entry import Entry, Jumped, departed, is_zero, just_left, opened, signs_at_end
+from .entry import Entry, Jumped, departed, extent, is_zero, just_left, opened, signs_at_end
 from .noting import add_jump
 
 if TYPE_CHECKING:
@@ -136,9 +136,10 @@ def _sides(
 
 
 def _off(driver: Driver, there: Scene, t: float, x: StateVector) -> list[Guard]:
-    """The guards of the mode that are off zero behind a knot, by more than rounding."""
+    """The guards of the mode that are off zero behind a knot, by more than rounding: that of the
+    largest states seen, too, of which these are made."""
     behind, state = _watched(driver, there), x.tolist()
-    sizes = (float(there.rounding(guard, behind)(t, state)[0]) for guard in behind.guards)
+    sizes = (extent(there, guard, behind, t, x, driver.seen)[0] for guard in behind.guards)
     pairs = zip(behind.guards, sizes, strict=True)
     return [g for g, size in pairs if abs(g.value(t, state)) > GUARD_ROUNDING * EPS * size]
 
