@@ -637,8 +637,8 @@ class ArcFlow:
     def _moved(self, guard: Guard, t: float, x: StateVector) -> bool:
         """Whether what holds the state has moved away from it, the obstacle or the surface."""
         if guard.kind == "leave":
-            return departed(self.scene, guard, t, x)
-        return opened(self.scene, self.field.mode, released(guard.edge), t, x)
+            return departed(self.scene, guard, t, x, self.losses.seen)
+        return opened(self.scene, self.field.mode, released(guard.edge), t, x, self.losses.seen)
 
     def _onto(self, cut: Cut | None, segment: Segment, tau: float, x: StateVector) -> StateVector:
         """The state on the contacts held, or on the surface on which it slides. At a cut of a step

@@ -283,44 +283,68 @@ def heading(
 
 
 def opened(
-    scene: Scene, mode: str, contact: str, t: float, x: StateVector, lost: float = 0.0
+    scene: Scene,
+    mode: str,
+    contact: str,
+    t: float,
+    x: StateVector,
+    seen: StateVector,
+    lost: float = 0.0,
 ) -> bool:
     """Whether the gap or gap speed of a contact that was held differs from zero by more than
-    rounding, and than a share that may have been ``lost``."""
-    gap, speed, noise = _off_zero(scene, scene.field(mode), contact, t, x, lost)
+    rounding, of the largest states seen, too, and than a share that may have been ``lost``."""
+    gap, speed, noise = _off_zero(scene, scene.field(mode), contact, t, x, seen, lost)
     return abs(gap) > noise[0] or abs(speed) > noise[1]
 
 
-def departed(scene: Scene, guard: Guard, t: float, x: StateVector, lost: float = 0.0) -> bool:
+def departed(
+    scene: Scene, guard: Guard, t: float, x: StateVector, seen: StateVector, lost: float = 0.0
+) -> bool:
     """Whether the surface on which a state slid has jumped from it by more than that, so that it is
     now on the side to which a guard leads that ends sliding."""
     switching, _, _ = guard.edge.rpartition(".")
-    return _beyond(scene, scene.field(guard.to), switching, guard, t, x, lost)
+    return _beyond(scene, scene.field(guard.to), switching, guard, t, x, seen, lost)
 
 
-def jumped_over(scene: Scene, field: Field, guard: Guard, t: float, x: StateVector) -> bool:
+def jumped_over(
+    scene: Scene, field: Field, guard: Guard, t: float, x: StateVector, seen: StateVector
+) -> bool:
     """Whether a guard that has fired is beyond zero by more than rounding."""
-    return _beyond(scene, field, guard.edge, guard, t, x, 0.0)
+    return _beyond(scene, field, guard.edge, guard, t, x, seen, 0.0)
 
 
 def _beyond(
-    scene: Scene, field: Field, edge: str, fires: Guard, t: float, x: StateVector, lost: float
+    scene: Scene,
+    field: Field,
+    edge: str,
+    fires: Guard,
+    t: float,
+    x: StateVector,
+    seen: StateVector,
+    lost: float,
 ) -> bool:
     """Whether the guard of an edge is off zero in the direction in which another one fires."""
-    value, _, noise = _off_zero(scene, field, edge, t, x, lost)
+    value, _, noise = _off_zero(scene, field, edge, t, x, seen, lost)
     return value * DIRECTIONS[fires.crossing] > noise[0]
 
 
 def _off_zero(
-    scene: Scene, field: Field, edge: str, t: float, x: StateVector, lost: float
+    scene: Scene,
+    field: Field,
+    edge: str,
+    t: float,
+    x: StateVector,
+    seen: StateVector,
+    lost: float,
 ) -> tuple[float, float, tuple[float, float]]:
     """A guard and its rate where it was zero, and what rounding makes of each."""
     guard, share = field.guards[field.column(edge)], 64 * EPS + lost
     value, rate, _ = guard.lie(t, x.tolist())
     terms = scene.rounding(guard, field)(t, x.tolist())
+    high, fast, _ = extent(scene, guard, field, t, x, seen)
     late = 64 * float(np.spacing(abs(t)))  # the place at which it leaves zero is known no better
-    slower = share * terms[1] + late * terms[2]
-    return value, rate, (share * terms[0] + late * (terms[1] + late * terms[2]), slower)
+    slower = share * fast + late * terms[2]
+    return value, rate, (share * high + late * (terms[1] + late * terms[2]), slower)
 
 
 def beyond_kinks(
