@@ -199,7 +199,9 @@ def test_a_body_on_a_road_is_there_but_for_rounding_where_the_road_is_at_zero(so
         begin, end = draw.uniform(-1.0, 0.0), draw.uniform(1.0, 3.0)
         model = Road(road=([0.0, end], [begin, 0.0]))
         start = [begin, -begin / end]
-        run = hy.simulate(model, start, (0.0, end + 0.01), mode="flight.rest(impact)", solver=solver)
+        run = hy.simulate(
+            model, start, (0.0, end + 0.01), mode="flight.rest(impact)", solver=solver
+        )
         assert run.jumps.edge.tolist()[:1] == ["impact.release"]
         assert run.jumps.t[0] == end
 

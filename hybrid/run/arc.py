@@ -36,7 +36,17 @@ from ..trajectory.clock import Instant
 from ..trajectory.plan import Plan
 from ..zeno.flight import falls
 from .border import leaving, within
-from .entry import Entry, departed, describe, expand, heading, opened, side_before, zero_within
+from .entry import (
+    Entry,
+    Place,
+    departed,
+    describe,
+    expand,
+    heading,
+    opened,
+    side_before,
+    zero_within,
+)
 from .held import hidden_corner
 from .kinked import begin, is_held
 from .losses import MAY_HIDE, Losses
@@ -636,9 +646,10 @@ class ArcFlow:
 
     def _moved(self, guard: Guard, t: float, x: StateVector) -> bool:
         """Whether what holds the state has moved away from it, the obstacle or the surface."""
+        place = Place(t, self.now.t, self.losses.seen)
         if guard.kind == "leave":
-            return departed(self.scene, guard, t, x, self.losses.seen)
-        return opened(self.scene, self.field.mode, released(guard.edge), t, x, self.losses.seen)
+            return departed(self.scene, guard, place, x)
+        return opened(self.scene, self.field.mode, released(guard.edge), place, x)
 
     def _onto(self, cut: Cut | None, segment: Segment, tau: float, x: StateVector) -> StateVector:
         """The state on the contacts held, or on the surface on which it slides. At a cut of a step

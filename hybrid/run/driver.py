@@ -33,7 +33,7 @@ from . import clocks, jumps, switch
 from .accumulations import settled
 from .arc import ArcFlow, Flown
 from .cycles import Cycles
-from .entry import STARTS_OFF, Entry, Jumped, describe, enter, extent, signs_at_end
+from .entry import STARTS_OFF, Entry, Jumped, Place, describe, enter, extent, signs_at_end
 from .knots import fires_at, let_go, pass_knot, taken
 from .losses import Losses
 from .machine import Machine
@@ -107,6 +107,11 @@ class Driver:
     def since(self) -> float:
         """The time up to which the run is recorded; at first its start."""
         return self.plan.t0 if self.end is None else self.end[0]
+
+    @property
+    def place(self) -> Place:
+        """Where guards are asked whether they are off zero."""
+        return Place(self.t, self.record.since, self.seen)
 
     def run(self, mode: str, x: StateVector, came: Callable[[], Jumped] | None = None) -> None:
         """Run from the start to the end.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from functools import cached_property
 from math import isfinite
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import attrs
 import numpy as np
@@ -282,35 +282,34 @@ def heading(
     return here.decide(field.guards[index], index, 1)
 
 
+class Place(NamedTuple):
+    """Where a guard is asked whether it is off zero: the time, that at which the arc began that led
+    there, and the largest states seen."""
+
+    t: float
+    since: float
+    seen: StateVector
+
+
 def opened(
-    scene: Scene,
-    mode: str,
-    contact: str,
-    t: float,
-    x: StateVector,
-    seen: StateVector,
-    lost: float = 0.0,
+    scene: Scene, mode: str, contact: str, place: Place, x: StateVector, lost: float = 0.0
 ) -> bool:
     """Whether the gap or gap speed of a contact that was held differs from zero by more than
     rounding, of the largest states seen, too, and than a share that may have been ``lost``."""
-    gap, speed, noise = _off_zero(scene, scene.field(mode), contact, t, x, seen, lost)
+    gap, speed, noise = _off_zero(scene, scene.field(mode), contact, place, x, lost)
     return abs(gap) > noise[0] or abs(speed) > noise[1]
 
 
-def departed(
-    scene: Scene, guard: Guard, t: float, x: StateVector, seen: StateVector, lost: float = 0.0
-) -> bool:
+def departed(scene: Scene, guard: Guard, place: Place, x: StateVector, lost: float = 0.0) -> bool:
     """Whether the surface on which a state slid has jumped from it by more than that, so that it is
     now on the side to which a guard leads that ends sliding."""
     switching, _, _ = guard.edge.rpartition(".")
-    return _beyond(scene, scene.field(guard.to), switching, guard, t, x, seen, lost)
+    return _beyond(scene, scene.field(guard.to), switching, guard, place, x, lost)
 
 
-def jumped_over(
-    scene: Scene, field: Field, guard: Guard, t: float, x: StateVector, seen: StateVector
-) -> bool:
+def jumped_over(scene: Scene, field: Field, guard: Guard, place: Place, x: StateVector) -> bool:
     """Whether a guard that has fired is beyond zero by more than rounding."""
-    return _beyond(scene, field, guard.edge, guard, t, x, seen, 0.0)
+    return _beyond(scene, field, guard.edge, guard, place, x, 0.0)
 
 
 def _beyond(
@@ -318,31 +317,25 @@ def _beyond(
     field: Field,
     edge: str,
     fires: Guard,
-    t: float,
+    place: Place,
     x: StateVector,
-    seen: StateVector,
     lost: float,
 ) -> bool:
     """Whether the guard of an edge is off zero in the direction in which another one fires."""
-    value, _, noise = _off_zero(scene, field, edge, t, x, seen, lost)
+    value, _, noise = _off_zero(scene, field, edge, place, x, lost)
     return value * DIRECTIONS[fires.crossing] > noise[0]
 
 
 def _off_zero(
-    scene: Scene,
-    field: Field,
-    edge: str,
-    t: float,
-    x: StateVector,
-    seen: StateVector,
-    lost: float,
+    scene: Scene, field: Field, edge: str, place: Place, x: StateVector, lost: float
 ) -> tuple[float, float, tuple[float, float]]:
     """A guard and its rate where it was zero, and what rounding makes of each."""
-    guard, share = field.guards[field.column(edge)], 64 * EPS + lost
+    guard, share, t = field.guards[field.column(edge)], 64 * EPS + lost, place.t
     value, rate, _ = guard.lie(t, x.tolist())
     terms = scene.rounding(guard, field)(t, x.tolist())
-    high, fast, _ = extent(scene, guard, field, t, x, seen)
-    late = 64 * float(np.spacing(abs(t)))  # the place at which it leaves zero is known no better
+    high, fast, _ = extent(scene, guard, field, t, x, place.seen)
+    # the place at which it leaves zero is known no better
+    late = 64 * float(np.spacing(max(abs(place.since), abs(t))))
     slower = share * fast + late * terms[2]
     return value, rate, (share * high + late * (terms[1] + late * terms[2]), slower)
 

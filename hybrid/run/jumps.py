@@ -142,7 +142,7 @@ def _release(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> Non
     add_jump(driver, guard.edge, x, x)
     pulled = carried or (driver.forgets and not _bears_nothing(driver, guard, x))
     known = {contact: PULLED if pulled else RISES}  # the load is negative, not zero
-    if carried and opened(driver.scene, field.mode, contact, driver.t, x, driver.seen):
+    if carried and opened(driver.scene, field.mode, contact, driver.place, x):
         known = {}
     driver.enter(field.mode, x, Jumped(known, held))
 
@@ -158,7 +158,7 @@ def _bears_nothing(driver: Driver, guard: Guard, x: StateVector) -> bool:
 
 
 def _impact(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
-    if carried and jumped_over(driver.scene, driver.entry.field, guard, driver.t, x, driver.seen):
+    if carried and jumped_over(driver.scene, driver.entry.field, guard, driver.place, x):
         gap = guard.value(driver.t, x.tolist())
         raise DomainError(
             f"{driver.where(x)}: the gap of {guard.edge} jumps to {gap:.6g}, and the state does "

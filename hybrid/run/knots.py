@@ -76,7 +76,7 @@ def let_go(driver: Driver, t: float, x: StateVector, lost: float = 0.0) -> bool:
     of its terms that a gap may be off for other reasons."""
     field, scene = driver.entry.field, driver.scene
     ends = (guard for guard in field.guards if guard.kind == "leave")
-    known = t, x, driver.seen, lost
+    known = driver.place._replace(t=t), x, lost
     gone = next((guard for guard in ends if departed(scene, guard, *known)), None)
     open_ = [contact for contact in field.held if opened(scene, field.mode, contact, *known)]
     for contact in open_:

@@ -124,6 +124,13 @@ class Recorder:
         self.now, self._reached = self.now.after(length), last
         return last
 
+    @property
+    def since(self) -> float:
+        """The time at which the open arc began, or the last one."""
+        if self._begun is not None:
+            return self._begun[0].t
+        return self.log.kept[-1].t0 if self.log.kept else self.now.t
+
     def close(self, field: Field) -> None:
         """End an open arc that has gone on through windows of the past."""
         if self._begun is not None:

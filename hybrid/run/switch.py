@@ -25,7 +25,7 @@ def meet(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
     the state (``carried``) is crossed."""
     scene, here = driver.scene, driver.entry.field
     slides = scene.spec.sliding(here.mode) is not None
-    if carried and not slides and jumped_over(scene, here, guard, driver.t, x, driver.seen):
+    if carried and not slides and jumped_over(scene, here, guard, driver.place, x):
         driver.interrupt(guard.edge, guard.to, x, x)
         if not (add_jump(driver, guard.edge, x, x) and pass_limit(driver, guard.to)):
             driver.enter(guard.to, x, Jumped())
@@ -49,7 +49,7 @@ def leave(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
     add_jump(driver, guard.edge, x, x)
     known = vanishing(guard, driver.scene.field(guard.to))
     known = dict.fromkeys(known, 1) if overdue else known
-    gone = carried and departed(driver.scene, guard, driver.t, x, driver.seen)
+    gone = carried and departed(driver.scene, guard, driver.place, x)
     driver.enter(guard.to, x, Jumped({} if gone else known))
 
 
