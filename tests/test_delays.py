@@ -454,3 +454,36 @@ def test_jumps_of_a_cycle_are_remembered_up_to_its_limit(solver, r, lag):
     run = hy.simulate(model, [1.0, 0.0, 0.0], (0.0, 60.0), solver=solver)
     assert run.mode == "rest"
     assert abs(run.final.z + model.height(lag)) < (4e-12 if solver == "taylor" else 1e-8)
+
+
+class Echoes(hy.Automaton):
+    """A ball that feels how fast it was a lag ago, on a floor that goes where a slow state was."""
+
+    y = hy.state()
+    v = hy.state()
+    z = hy.state()
+    lag: float = hy.parameter(0.5)
+    feels: float = hy.parameter(0.05)
+
+    @hy.mode
+    def flight(self, t, s, past):
+        return s.v, -4.85 + self.feels * past(self.lag).v, -1.7 * s.z - 0.45 * s.y
+
+    floor = hy.contact(
+        flight, gap=lambda self, t, s, past: s.y - 0.2 * past(self.lag).z, restitution=0.4
+    )
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_corners_that_a_force_sees_do_not_move_the_floor(solver):
+    """Windows end at each of the impacts of a lag ago, as the force jumps there, and are as short
+    as their flights. The floor's place and speed do not jump, and its acceleration of at most 1 is
+    less than gravity: nothing is released."""
+    draw = np.random.default_rng(2)
+    for _ in range(6):
+        model = Echoes(lag=draw.uniform(0.2, 0.6), feels=draw.uniform(-0.1, 0.1))
+        start = {"y": draw.uniform(0.5, 1.0), "v": 0.0, "z": draw.uniform(-0.5, 0.5)}
+        run = hy.simulate(model, start, (20.0, 24.0), solver=solver)
+        assert len(run.zeno) == 1
+        assert run.mode == "flight.rest(floor)"
+        assert not any("release" in edge for edge in run.jumps.edge)

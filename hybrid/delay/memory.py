@@ -137,8 +137,8 @@ class Memory:
         Whether the programs of the rules' loop hold these numbers.
     told : bool
         Whether the rules' loop has already recorded the arcs and jumps now being added.
-    bends : bool
-        Whether something that lags see jumped, or had a corner, where windows ended last.
+    loose : frozenset of str
+        What holds the state and may let it go where windows ended last (:meth:`_loose`).
     sights : array
         The ``shown`` of the windows at each sum of impacts in a call of the loop.
     """
@@ -175,7 +175,7 @@ class Memory:
         self._before = np.zeros(STATE_FLOATS), ints, np.zeros((3, len(x)))
         self._begun, self._joins = np.zeros(len(x)), False
         self._looks_back, self._reach = False, dict[Any, Any]()
-        self._turned, self.bends = (-np.inf, 0), False
+        self._turned, self.loose = (-np.inf, 0), frozenset[str]()
         for piece in history:
             if piece.orders is not None:
                 self._break(piece.start, piece.orders, piece.mode, code.pushed(piece.mode))
@@ -600,8 +600,25 @@ class Memory:
         self.breaks.reserve()
         past = self._within(field)
         unit("past").ended(t, 0, ends.index(fired) if fired else -1, past)
-        self.bends = bool(np.any((past.least <= 1) & (past.seen == 1)))
+        self.loose = frozenset(self._loose(field, past.least))
         self.until = t
+
+    def _loose(self, field: Field, orders: Integers) -> Iterator[str]:
+        """What holds the state in a field and may let it go where lags meet breaking points: the
+        contacts whose gap or gap speed jumps there, and the surface that does.
+
+        Windows may end there for other reasons, and be so short that rates in them are rounding.
+        """
+        code = self.scene.code
+        for name in field.held:
+            gap, speed = code.mode(field.mode).shown(name)
+            if any(orders[p] <= 1 for p in gap) or any(orders[p] <= 0 for p in speed):
+                yield name
+        sliding = self.scene.spec.sliding(field.mode)
+        if sliding is not None:
+            (seen,) = code.asked(code.closed("surface", sliding.name))
+            if any(orders[p] <= 0 for p in seen):
+                yield sliding.name
 
     def _require_way(self, t: float, lag: str) -> None:
         """Refuse a moving lag whose place is led back to one breaking point from both sides.

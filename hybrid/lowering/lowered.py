@@ -306,9 +306,9 @@ class Lowered:
         own = (p.default for p in self.spec.parameters)
         return flat([*own, *no_signal(self.spec.signals, 1.0), *shown])
 
-    def looks_back(self, graph: Graph, root: int) -> bool:
-        """Whether a node depends on the past."""
-        return bool(self._past_in(graph, root, sum(map(prod, self._own_shapes))))
+    def looks_back(self, graph: Graph, root: int) -> set[tuple[int, int]]:
+        """The (lag, element) pairs that a node reads from the past."""
+        return self._past_in(graph, root, sum(map(prod, self._own_shapes)))
 
     def _past_in(self, graph: Graph, root: int, first: int) -> set[tuple[int, int]]:
         found, size = set(), 2 + (WINDOW_DEGREE + 1) * self.spec.dimension

@@ -274,6 +274,12 @@ class ModeGraph:
         lags = bool(self.spec.lags)
         return lags and any(self.code.looks_back(self.graph, node) for node in of)
 
+    def shown(self, name: str) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
+        """The (lag, element) pairs that a contact's gap reads from the past, and its gap speed."""
+        contact = self.contact(name)
+        gap, speed = (self.code.looks_back(self.graph, n) for n in (contact.gap, contact.speed))
+        return gap, speed
+
     def _place(self, name: str) -> list[int]:
         contact = self.contact(name)
         return [contact.gap, contact.speed, *contact.normal, *contact.push]

@@ -521,7 +521,7 @@ class Driver:
         known = self.vanishing
         if field.leans:  # what is seen of the past, or its rate, may have jumped
             self.look(x)
-            if memory.bends and let_go(self, t, x, STRAYS * self.losses.share):
+            if memory.loose and let_go(self, t, x, STRAYS * self.losses.share, memory.loose):
                 return
         self.enter(field.mode, x, Jumped(known, field.held, passing=signs))
 

@@ -70,15 +70,25 @@ def taken(driver: Driver, t: float, x: StateVector) -> frozenset[str]:
     return driver.spent.union(driver.vanishing)
 
 
-def let_go(driver: Driver, t: float, x: StateVector, lost: float = 0.0) -> bool:
+def let_go(
+    driver: Driver,
+    t: float,
+    x: StateVector,
+    lost: float = 0.0,
+    loose: frozenset[str] | None = None,
+) -> bool:
     """Release the contacts at rest that are open at a time at which what holds the state may have
     jumped, and leave a surface that it slid on; returns whether there were any. ``lost``: the share
-    of its terms that a gap may be off for other reasons."""
+    of its terms that a gap may be off for other reasons; ``loose``: those that may have (default:
+    all)."""
     field, scene = driver.entry.field, driver.scene
-    ends = (guard for guard in field.guards if guard.kind == "leave")
+    names = frozenset(field.held) if loose is None else loose
+    leaves = (guard for guard in field.guards if guard.kind == "leave")
+    ends = (g for g in leaves if loose is None or g.edge.rpartition(".")[0] in names)
     known = driver.place._replace(t=t), x, lost
     gone = next((guard for guard in ends if departed(scene, guard, *known)), None)
-    open_ = [contact for contact in field.held if opened(scene, field.mode, contact, *known)]
+    held = (contact for contact in field.held if contact in names)
+    open_ = [contact for contact in held if opened(scene, field.mode, contact, *known)]
     for contact in open_:
         _leave(driver, f"{contact}{RELEASE_SUFFIX}", field.mode, x)
     if gone is not None:

@@ -283,9 +283,10 @@ def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
 
 def _shown(driver: Driver, found: CycleLimit) -> bool:
     """Whether delays can tell the last turn from the straight line that leads on to its limit, and
-    the jumps that follow are not yet lost in rounding."""
+    the jumps that follow are not yet lost in rounding. Turns that fall like a power of their number
+    are too many to be made."""
     memory, cycles = driver.record.memory, driver.cycles
-    if memory is None or driver.plan.memory == "restart":
+    if memory is None or driver.plan.memory == "restart" or found.ratio == 1.0:
         return False
     since = cycles.last(len(found.edges) + 1)[0].t
     short = max(DROWNING * cycles.longest, BRIEF_FLIGHT * np.spacing(abs(driver.t)))
