@@ -487,3 +487,37 @@ def test_corners_that_a_force_sees_do_not_move_the_floor(solver):
         assert len(run.zeno) == 1
         assert run.mode == "flight.rest(floor)"
         assert not any("release" in edge for edge in run.jumps.edge)
+
+
+class Hears(Remembers):
+    """One that integrates all the time, so that ``z`` is the way that it fell a lag ago."""
+
+    @hy.mode(initial=True)
+    def light(self, t, s, past):
+        return s.v, -2.0, past(self.lag).v
+
+    @hy.mode
+    def heavy(self, t, s, past):
+        return s.v, -3.0, past(self.lag).v
+
+    def limit(self):
+        """The time of the limit, and those of the impacts."""
+        impacts, t, u, force = [], 1.0, 2.0 * self.r, 3.0
+        while u > 1e-20:
+            impacts.append(t)
+            t, u, force = t + 2.0 * u / force, self.r * u, 5.0 - force
+        return t, impacts
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("before", [1e-5, 6e-5, 3e-4])
+def test_a_limit_is_not_told_from_turns_before_a_corner(solver, before):
+    """Where an impact is seen a lag later, shortly before the limit, what integrates it follows
+    another law from there on: the state at the limit was up to 3e-2 off."""
+    model = Hears(r=0.6)
+    limit, impacts = model.limit()
+    model = Hears(r=0.6, lag=limit - before - impacts[1])
+    run = hy.simulate(model, [1.0, 0.0, 0.0], (0.0, limit + 0.05), solver=solver, rtol=1e-10)
+    assert run.mode == "rest"
+    exact = Remembers(r=0.6).height(limit - (run.t1 - model.lag)) - 1.0
+    assert abs(run.final.z - exact) < 1e-9

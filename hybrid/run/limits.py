@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
-from ..lowering import Field, Guard, Scene
+from ..lowering import Field, Guard, Kink, Scene
 from ..rules.flown import BRIEF_FLIGHT
 from ..rules.lanes import STILL_JUMPS
 from ..rules.sights import BOX_MARGIN
@@ -61,7 +61,7 @@ def persists(scene: Scene, turn: Turn, t: float, found: CycleLimit, rtol: float)
         fired = next((guard for guard in field.guards if guard.edge == jump.edge), None)
         if fired is None or not _steady(field, turn.seen[k], t, x):
             return False
-        if not _alone(field, turn, k, t, found.edges):
+        if not (_alone(field, turn, k, t, found.edges) and _keeps_formula(field, turn, k, t)):
             return False
         if not _keeps_law(scene, field, fired, turn, k, t, found.t_error):
             return False
@@ -114,6 +114,17 @@ def _keeps_law(
         and _follows(values / share, shift / share)
         and _follows((made - limit) / share, (turn.known(k + 1) + change) / share)
     )
+
+
+def _keeps_formula(field: Field, turn: Turn, k: int, t: float) -> bool:
+    """Whether nothing that decides on a formula of the flow changes sign from the last flight
+    before a jump to the limit."""
+    now, x, known = turn.seen[k], turn.limits[k], turn.known(k)
+    for kink in field.changes:
+        here, before = kink.value(t, x.tolist()), kink.value(now.t, now.x.tolist())
+        if here * before < 0.0 and abs(here) > _shifted(kink, t, x, known):
+            return False
+    return True
 
 
 def _follows(laws: Matrix, off: Matrix) -> bool:
@@ -175,13 +186,13 @@ def _allowed(
     return ZERO * size + _shifted(guard, t, x, known)
 
 
-def _shifted(guard: Guard, t: float, x: StateVector, slack: StateVector) -> float:
-    """How much a guard changes over the slack of a state."""
+def _shifted(guard: Guard | Kink, t: float, x: StateVector, slack: StateVector) -> float:
+    """How much a guard changes over the slack of a state, or what decides on a formula."""
     (moved,) = _moved(_value(guard), t, x, slack)
     return float(moved)
 
 
-def _value(guard: Guard) -> Law:
+def _value(guard: Guard | Kink) -> Law:
     return lambda t, x: np.array([guard.value(t, x.tolist())])
 
 

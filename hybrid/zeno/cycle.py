@@ -62,6 +62,9 @@ NEARER = 0.5
 #: By how many times more than before the ratio of successive times left may change with a turn.
 PACE_CHANGE = 4.0
 
+#: The turns before, in which it changed as much.
+PACE_TURNS = 2
+
 #: By how many times what times and states are off what a turn changes may be off: it is made of two
 #: of them, and the errors of the turns before have come through to both.
 PACE_NOISE = 8.0
@@ -152,9 +155,31 @@ def limit(
     durations = np.diff(times)
     if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
         return None
+    elapsed, off = float(durations.sum()), blur()
+    found: CycleLimit | int | None = 0
+    while isinstance(found, int):
+        times, states = times[found:], states[found:]
+        found = _limit(edges, times, states, elapsed, rtol, atol, beside, off)
+    return found
+
+
+def _limit(
+    edges: tuple[str, ...],
+    times: Numbers,
+    states: Matrix,
+    elapsed: float,
+    rtol: float,
+    atol: float,
+    beside: Sequence[int],
+    blur: Numbers,
+) -> CycleLimit | int | None:
+    """As :func:`limit`, by one law; where another has begun at some turn, the place of that turn.
+    ``elapsed``: the time since the first; ``blur``: how far the last times may be off."""
+    durations, first = np.diff(times), 0
     turns = _fast(durations)
     if turns >= FEW_TURNS:
-        times, states, growth = times[-turns - 1 :], states[-turns - 1 :], 0.0
+        first, growth = len(durations) - turns, 0.0
+        times, states = times[first:], states[first:]
     elif len(durations) >= LEAST_CYCLES:
         growth = _raabe(durations)
     else:
@@ -168,17 +193,17 @@ def limit(
         slack = max(rtol, 1e-13) * np.maximum(scale, scale[0]) + atol
         if not np.all(np.delete(error <= slack, others)):
             return None
-    elapsed, remaining = float(durations.sum()), float(now[0] - times[-1])
+    remaining = float(now[0] - times[-1])
     near = remaining <= LEFT_TO_LIMIT * elapsed or (power and len(times) >= POWER_CYCLES)
     if not (remaining > 0 and near and np.all(np.isfinite(now))):
         return None
     off, steps = np.abs(columns - now), np.abs(np.diff(columns, axis=0))
-    noise = _moving(columns, blur())
+    noise = _moving(columns, blur)
     known = CYCLE_ROUNDING * len(columns) * scale + PACE_NOISE * noise
     for k in np.setdiff1d(np.arange(len(now)), others):
-        left = _keeps_pace(off[:, k], error[k] + known[:, k])
-        if not (left and _keeps_pace(steps[:, k], known[1:, k])):
-            return None
+        strays = max(_strays(off[:, k], error[k] + known[:, k]), _strays(steps[:, k], known[1:, k]))
+        if strays:
+            return first + strays
     if np.any((off[-1] > NEARER * off.max(axis=0) + error)[1:]):
         return None
     # a turn that is too short by its noise, at both ends, makes all that is left so, in proportion
@@ -214,9 +239,10 @@ def accelerated(
     return now, error, scale
 
 
-def _keeps_pace(left: Numbers, known: Numbers) -> bool:
-    """Whether numbers fall as they began to: their ratios change ever less, or as before. Where
-    another law has begun in the last turns, estimates may still be those of the old.
+def _strays(left: Numbers, known: Numbers) -> int:
+    """The place from which on numbers do not fall as they began to, in the last turns; 0 if they
+    do: their ratios change ever less, or as in the turns just before. Where another law has begun,
+    estimates may still be those of the old.
 
     ``known``: how well the numbers are known; less than that tells nothing.
     """
@@ -224,10 +250,11 @@ def _keeps_pace(left: Numbers, known: Numbers) -> bool:
     known = known[: len(left)]
     changes, off = np.abs(np.diff(left[1:] / left[:-1])), known[2:] / left[1:-1]
     if len(changes) < FEW_TURNS:
-        return True
+        return 0
     late = max(1, len(changes) // 2, len(changes) - LEAST_CYCLES)
-    so_far = np.maximum.accumulate(changes)[late - 1 : -1]
-    return bool(np.all(changes[late:] <= PACE_CHANGE * so_far + off[late:]))
+    before = [changes[max(0, k - PACE_TURNS) : k].max() for k in range(late, len(changes))]
+    strays = np.flatnonzero(changes[late:] > PACE_CHANGE * np.array(before) + off[late:])
+    return late + int(strays[-1]) + 3 if len(strays) else 0
 
 
 def _fast(durations: Numbers) -> int:
