@@ -521,3 +521,35 @@ def test_a_limit_is_not_told_from_turns_before_a_corner(solver, before):
     assert run.mode == "rest"
     exact = Remembers(r=0.6).height(limit - (run.t1 - model.lag)) - 1.0
     assert abs(run.final.z - exact) < 1e-9
+
+
+class Sinks(hy.Automaton):
+    """A ball over a floor that sinks at a steady rate, as far as it sees."""
+
+    x = hy.state()
+    v = hy.state()
+    z = hy.state()
+    r: float = hy.parameter(0.5)
+    rate: float = hy.parameter(-0.07)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -10.0, self.rate
+
+    floor = hy.contact(flight, gap=lambda self, t, s, past: s.x - past(1.0).z, restitution="r")
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+@pytest.mark.parametrize("r", [0.3, 0.5, 0.8])
+def test_a_floor_that_an_impact_moves_off_is_struck_where_it_is_then(solver, r):
+    """An impact that forgets the past shows the floor where ``z`` is now, and there it stays until
+    the next one: each flight goes lower than it began, so impacts do not come to rest."""
+    model, x, v, floor, t = Sinks(r=r), 1.0, 0.0, 0.0, 0.0
+    run = hy.simulate(model, [x, v, 0.0], (0.0, 3.0), solver=solver, memory="restart")
+    for jump in run.jumps:
+        flight = (v + math.sqrt(v * v + 20.0 * (x - floor))) / 10.0
+        x, v, t = floor, r * (10.0 * flight - v), t + flight
+        floor = model.rate * t
+        assert jump.t == pytest.approx(t, abs=1e-7)
+    assert t + (v + math.sqrt(v * v + 20.0 * (x - floor))) / 10.0 > 3.0
+    assert not run.zeno

@@ -15,7 +15,7 @@ import math
 from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Look, Now, PastArrays, Room, Sums
 from .clocks import after, field_of
-from .contacts import values
+from .contacts import twin, values
 from .flown import fits, recorded, walked
 from .guards import GUARD_ROUNDING, row_of, sizes_of
 from .guesses import SINCE_PLACE, TO_PLACE
@@ -56,8 +56,10 @@ from .places import (
     KIND,
     LAGS,
     LAST_TIME,
+    LAST_USED,
     LOOK,
     LOW,
+    LOW_AHEAD,
     MADE,
     MAKE,
     NEXT_TO_NOTHING,
@@ -138,8 +140,25 @@ def look_back(
             return WINDOW
         run[LAST_TIME] = past.floats[SERVES_UNTIL]
         bound(a, now, room, past)
+        if past.ints[BEHIND] == FORGETS and now.ints[JUMPS_MADE] >= run[JUMPS_DUE]:
+            parted(a, now, room)
         tried(now, past)
         status = GOES_ON
+
+
+def parted(a: AutomatonArrays, now: Now, room: Room) -> None:
+    """After an impact that forgets the past: note if what the gap sees of it now has moved the
+    obstacle off the body, which then does not begin its flight there."""
+    guard = twin(a, now.ints[FIELD], now.ints[LAST_USED])
+    if guard < 0 or a.guards[guard, KIND] != CONTACT:
+        return
+    program, t = a.fields[now.ints[FIELD], FIELD_PROGRAM], time(now)
+    if afresh(a.programs, program, 0, t, now.x, room.still, room.aside, room.work) < 0:
+        return
+    value = room.aside[row_of(a, program, now.ints[FIELD], guard), 0]
+    size, high = sizes_of(a, room, guard, t, now.x)[0], sizes_of(a, room, guard, t, now.seen)[0]
+    if value > GUARD_ROUNDING * EPS * (size + (high if high < math.inf else 0.0)):
+        now.ints[GUARD_POWER], now.ints[LOW_AHEAD] = 0, 0
 
 
 def time(now: Now) -> float:

@@ -322,7 +322,8 @@ class Driver:
 
         def came() -> Jumped:
             if guard.kind == "contact":
-                return Jumped({guard.edge: 1}, series=lasted and self.watch.count > 1)
+                touches = {} if self.parted(guard.edge, x) else {guard.edge: 1}
+                return Jumped(touches, series=lasted and self.watch.count > 1)
             if guard.kind == "release":
                 return Jumped({released(guard.edge): RISES if lasted else PULLED})
             if guard.kind in ("switch", "leave"):
@@ -547,6 +548,16 @@ class Driver:
             self.enter(field.mode, x, Jumped({guard.edge: 1}, field.held))
         else:
             jumps.bounce(self, guard, *low)
+
+    def parted(self, contact: str, x: StateVector) -> bool:
+        """Whether an impact that erases the past has moved the obstacle off the body, as its gap
+        sees another past: the body does not begin its flight there."""
+        if not self.forgets:
+            return False
+        field = self.field
+        guard, t = field.guard(contact), self.t
+        high = extent(self.scene, guard, field, t, x, self.seen)[0]
+        return guard.value(t, x.tolist()) > 2.0 * GUARD_ROUNDING * EPS * high
 
     @property
     def forgets(self) -> bool:

@@ -222,12 +222,14 @@ def bounce(
             return
         if due and pass_limit(driver, guard.to):
             return
-        low = low_flight(driver, contact, after, speed, driver.mode)
+        parted = driver.parted(guard.edge, after)
+        low = None if parted else low_flight(driver, contact, after, speed, driver.mode)
         if low is None:
             break
         before, after, speed = low
         driver.touched = _near_zero(driver, before)
     known, last = {guard.edge: 1 if speed > 0 else 2}, driver.record.log.kept[-1]
+    known = {} if driver.parted(guard.edge, after) else known
     series = driver.watch.count > 1 and isinstance(last, Arc) and last.length > 0
     driver.enter(guard.to, after, Jumped(known, held, series=series))
 

@@ -21,6 +21,7 @@ from ..rules.places import (
     LAST_TIME,
     LOOK,
     LOW,
+    LOW_AHEAD,
     MADE,
     NO_ROOM,
     PHASE,
@@ -122,8 +123,9 @@ def _passes_window(machine: Machine, left: Left, status: int, memory: Memory) ->
     driver, place, fired = machine.driver, int(machine.ints[JUMPS_MADE]), None
     if status == FULL and place and machine.plan.memory == "restart":
         guard = machine.tables.guards[left.fired[0]]
-        if guard.kind == "edge":  # through what is seen now it may not be zero
-            machine.ints[GUARD_POWER] = 0
+        off = guard.kind == "contact" and driver.parted(guard.edge, driver.entry.x)
+        if guard.kind == "edge" or off:  # through what is seen now it may not be zero
+            machine.ints[GUARD_POWER] = machine.ints[LOW_AHEAD] = 0
     if status == JUMP and machine.fired.kind == "window":
         fired = machine.fired.edge
     if not fired and (status != END or memory.until >= machine.plan.t1):
