@@ -14,9 +14,9 @@ steps, each of which may reject it.
   between the last estimates bounds the error, and that without the last term, or if all terms move
   by their rounding. Weniger, *Nonlinear sequence transformations*,
   Computer Physics Reports 10 (1989).
-3. *The pace.* What is left to the limit, and what each turn changes, must have fallen all along as
-  they began to: a table of estimates may not see that the last terms of a sequence follow another
-  law.
+3. *The pace.* What is left to the limit, and what each turn changes, must have fallen in the last
+  turns as in those just before: a table of estimates may not see that the last terms of a sequence
+  follow another law, as behind a corner of the flow. Then the turns before that are left out.
 4. *The cause.* Shrinking gaps alone prove nothing. At the limit, the guard of each jump must be
   zero at the state after the previous jump, and the resets of a turn must lead back to its start;
   :mod:`hybrid.run.limits` checks this against the model.
@@ -62,7 +62,7 @@ NEARER = 0.5
 #: By how many times more than before the ratio of successive times left may change with a turn.
 PACE_CHANGE = 4.0
 
-#: The turns before, in which it changed as much.
+#: Of so many turns before: more are of how it began, which says nothing of a change now.
 PACE_TURNS = 2
 
 #: By how many times what times and states are off what a turn changes may be off: it is made of two
@@ -155,11 +155,11 @@ def limit(
     durations = np.diff(times)
     if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
         return None
-    elapsed, off = float(durations.sum()), blur()
+    elapsed = float(durations.sum())
     found: CycleLimit | int | None = 0
     while isinstance(found, int):
         times, states = times[found:], states[found:]
-        found = _limit(edges, times, states, elapsed, rtol, atol, beside, off)
+        found = _limit(edges, times, states, elapsed, rtol, atol, beside, blur)
     return found
 
 
@@ -171,10 +171,10 @@ def _limit(
     rtol: float,
     atol: float,
     beside: Sequence[int],
-    blur: Numbers,
+    blur: Callable[[], Numbers],
 ) -> CycleLimit | int | None:
     """As :func:`limit`, by one law; where another has begun at some turn, the place of that turn.
-    ``elapsed``: the time since the first; ``blur``: how far the last times may be off."""
+    ``elapsed``: the time since the first of all turns."""
     durations, first = np.diff(times), 0
     turns = _fast(durations)
     if turns >= FEW_TURNS:
@@ -198,7 +198,7 @@ def _limit(
     if not (remaining > 0 and near and np.all(np.isfinite(now))):
         return None
     off, steps = np.abs(columns - now), np.abs(np.diff(columns, axis=0))
-    noise = _moving(columns, blur)
+    noise = _moving(columns, blur())
     known = CYCLE_ROUNDING * len(columns) * scale + PACE_NOISE * noise
     for k in np.setdiff1d(np.arange(len(now)), others):
         strays = max(_strays(off[:, k], error[k] + known[:, k]), _strays(steps[:, k], known[1:, k]))
@@ -240,9 +240,9 @@ def accelerated(
 
 
 def _strays(left: Numbers, known: Numbers) -> int:
-    """The place from which on numbers do not fall as they began to, in the last turns; 0 if they
-    do: their ratios change ever less, or as in the turns just before. Where another law has begun,
-    estimates may still be those of the old.
+    """The place from which on numbers fall in another way than before, in the last turns; 0 if
+    there is none: their ratios change ever less, or as in the turns just before. Where another law
+    has begun, estimates may still be those of the old.
 
     ``known``: how well the numbers are known; less than that tells nothing.
     """
