@@ -616,7 +616,8 @@ class Memory:
                 yield name
         sliding = self.scene.spec.sliding(field.mode)
         if sliding is not None:
-            (seen,) = code.asked(code.closed("surface", sliding.name))
+            key, surface = ("shown", sliding.name), code.closed("surface", sliding.name)
+            (seen,) = code.once(key, lambda: code.asked(surface))
             if any(orders[p] <= 0 for p in seen):
                 yield sliding.name
 

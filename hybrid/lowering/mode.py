@@ -276,9 +276,12 @@ class ModeGraph:
 
     def shown(self, name: str) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
         """The (lag, element) pairs that a contact's gap reads from the past, and its gap speed."""
-        contact = self.contact(name)
-        gap, speed = (self.code.looks_back(self.graph, n) for n in (contact.gap, contact.speed))
-        return gap, speed
+
+        def make() -> tuple[set[tuple[int, int]], ...]:
+            contact = self.contact(name)
+            return tuple(self.code.looks_back(self.graph, n) for n in (contact.gap, contact.speed))
+
+        return self.code.once(("shown", name), make)  # type: ignore[no-any-return]
 
     def _place(self, name: str) -> list[int]:
         contact = self.contact(name)

@@ -322,8 +322,8 @@ class Driver:
 
         def came() -> Jumped:
             if guard.kind == "contact":
-                touches = {} if self.parted(guard.edge, x) else {guard.edge: 1}
-                return Jumped(touches, series=lasted and self.watch.count > 1)
+                leaves = self.leaves(guard.edge, field.name, x)
+                return Jumped(leaves, series=lasted and self.watch.count > 1)
             if guard.kind == "release":
                 return Jumped({released(guard.edge): RISES if lasted else PULLED})
             if guard.kind in ("switch", "leave"):
@@ -545,19 +545,24 @@ class Driver:
         speed = guard.lie(self.t, x.tolist())[1]
         low = jumps.low_flight(self, contact, x, speed, field.name)
         if low is None:
-            self.enter(field.mode, x, Jumped({guard.edge: 1}, field.held))
+            self.enter(field.mode, x, Jumped(self.leaves(guard.edge, field.name, x), field.held))
         else:
             jumps.bounce(self, guard, *low)
 
-    def parted(self, contact: str, x: StateVector) -> bool:
+    def parted(self, contact: str, name: str, x: StateVector) -> bool:
         """Whether an impact that erases the past has moved the obstacle off the body, as its gap
-        sees another past: the body does not begin its flight there."""
+        sees another past: the body does not begin its flight there, in a field, given by name."""
         if not self.forgets:
             return False
-        field = self.field
+        field = self.scene.field(name)
         guard, t = field.guard(contact), self.t
         high = extent(self.scene, guard, field, t, x, self.seen)[0]
         return guard.value(t, x.tolist()) > 2.0 * GUARD_ROUNDING * EPS * high
+
+    def leaves(self, contact: str, name: str, x: StateVector, power: int = 1) -> dict[str, int]:
+        """The power of the time by which the gap vanishes where the flight behind an impact begins;
+        empty if it does not."""
+        return {} if self.parted(contact, name, x) else {contact: power}
 
     @property
     def forgets(self) -> bool:

@@ -222,14 +222,13 @@ def bounce(
             return
         if due and pass_limit(driver, guard.to):
             return
-        parted = driver.parted(guard.edge, after)
-        low = None if parted else low_flight(driver, contact, after, speed, driver.mode)
+        low = low_flight(driver, contact, after, speed, driver.mode)
         if low is None:
             break
         before, after, speed = low
         driver.touched = _near_zero(driver, before)
-    known, last = {guard.edge: 1 if speed > 0 else 2}, driver.record.log.kept[-1]
-    known = {} if driver.parted(guard.edge, after) else known
+    last = driver.record.log.kept[-1]
+    known = driver.leaves(guard.edge, driver.mode, after, 1 if speed > 0 else 2)
     series = driver.watch.count > 1 and isinstance(last, Arc) and last.length > 0
     driver.enter(guard.to, after, Jumped(known, held, series=series))
 
@@ -262,8 +261,10 @@ def low_flight(
 
     The flight follows its Taylor series, in which gap and gap speed are coordinates of their own.
     Returns the states before and after the next impact and the gap speed after it; None where the
-    flight is higher, or another guard comes near zero.
+    flight is higher, or begins off the obstacle, or another guard comes near zero.
     """
+    if driver.parted(contact.name, name, x):
+        return None
     field, t, reach = driver.scene.field(name, (contact.name,)), driver.t, driver.reach(x)
     column = field.column(contact.name)
     guard = field.guards[column]

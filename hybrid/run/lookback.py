@@ -123,7 +123,8 @@ def _passes_window(machine: Machine, left: Left, status: int, memory: Memory) ->
     driver, place, fired = machine.driver, int(machine.ints[JUMPS_MADE]), None
     if status == FULL and place and machine.plan.memory == "restart":
         guard = machine.tables.guards[left.fired[0]]
-        off = guard.kind == "contact" and driver.parted(guard.edge, driver.entry.x)
+        here = guard.edge, driver.entry.field.name, driver.entry.x
+        off = guard.kind == "contact" and driver.parted(*here)
         if guard.kind == "edge" or off:  # through what is seen now it may not be zero
             machine.ints[GUARD_POWER] = machine.ints[LOW_AHEAD] = 0
     if status == JUMP and machine.fired.kind == "window":
