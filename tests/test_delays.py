@@ -456,6 +456,51 @@ def test_jumps_of_a_cycle_are_remembered_up_to_its_limit(solver, r, lag):
     assert abs(run.final.z + model.height(lag)) < (4e-12 if solver == "taylor" else 1e-8)
 
 
+class Flips(hy.Automaton):
+    """A ball whose impacts set ``q`` in turn to 1 and to another value, and an integral of what
+    that was a lag ago."""
+
+    x = hy.state()
+    v = hy.state()
+    q = hy.state()
+    seen = hy.state()
+    lag: float = hy.parameter(0.3)
+    even: float = hy.parameter(-1.0)
+
+    @hy.mode(initial=True)
+    def odd_flight(self, t, s, past):
+        return s.v, -2.0, 0.0, past(self.lag).q
+
+    @hy.mode
+    def even_flight(self, t, s, past):
+        return s.v, -2.0, 0.0, past(self.lag).q
+
+    @hy.mode(limit_of=("odd", "last"))
+    def rest(self, t, s, past):
+        return 0.0, 0.0, 0.0, past(self.lag).q
+
+    @hy.edge(odd_flight, to=even_flight, guard=lambda self, t, s: s.x)
+    def odd(self, t, s):
+        return s.replace(v=-0.5 * s.v, q=1.0)
+
+    @hy.edge(even_flight, to=odd_flight, guard=lambda self, t, s: s.x)
+    def last(self, t, s):
+        return s.replace(v=-0.5 * s.v, q=self.even)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+@pytest.mark.parametrize(("lag", "even"), [(0.3, -1.0), (1e-3, 0.25), (2.5, 0.0)])
+def test_what_resets_move_up_to_a_limit_is_remembered(solver, lag, even):
+    """From height 1 the ball falls for 1, then come flights of 1, 1/2, 1/4, ...: the odd ones take
+    4/3 of the 2 until the limit, the others 2/3. Jumps of the last millionth are not remembered one
+    by one, and their mean leaves nothing out: with the last value it was 7e-7 off. Sums of some 40
+    windows round to 1e-14."""
+    start = {"x": 1.0, "v": 0.0, "q": 0.0, "seen": 0.0}
+    run = hy.simulate(Flips(lag=lag, even=even), start, (0.0, 3.5 + lag), solver=solver)
+    assert run.mode == "rest"
+    assert run.final.seen == pytest.approx(4 / 3 + even * (2 / 3 + 0.5), abs=1e-12)
+
+
 class Echoes(hy.Automaton):
     """A ball that feels how fast it was a lag ago, on a floor that goes where a slow state was."""
 

@@ -17,7 +17,7 @@ See ``docs/notes/delays.md``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from math import isfinite
@@ -311,6 +311,22 @@ class Memory:
         last_piece = straight(0.0, part.t1 - since, arc.first, tail.x_inf)
         self.pieces.add(piece_of(last_piece, since, 0.0))
         self._break(part.t1, np.ones(len(tail.x_inf), dtype=int), mode, row)
+
+    def limit(self, t: float, x_inf: StateVector, means: Mapping[int, float]) -> None:
+        """Record the limit of a cycle, to which the last piece leads: of elements that resets move
+        all along that piece shows their means, and they jump at both its ends."""
+        if self.told:
+            return
+        if self.plan.memory == "restart":
+            self._restart(t, x_inf)
+            return
+        last, orders = self.pieces.last, np.ones(len(x_inf), dtype=int)
+        orders[[*means]] = 0
+        self.breaks.add(last.start, orders)
+        self.breaks.add(t, orders)
+        assert last.rows is not None
+        last.rows[:, [*means]] = 0.0
+        last.rows[0, [*means]] = [*means.values()]
 
     def _break(self, t: float, orders: Integers, mode: str, changes: Mask) -> None:
         """Record the breaking point of a jump, if lags see it: of order 0 in what it changes.

@@ -28,6 +28,8 @@ from . import truncate
 from .entry import Entry, Jumped, expand
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ..automaton.shapes import StateVector
     from .driver import Driver
 
@@ -220,17 +222,21 @@ def pass_cycle(
     mode: str,
     late: float = 0.0,
     moved: StateVector | float = 0.0,
+    means: Mapping[int, float] | None = None,
 ) -> None:
     """Pass the accumulation point of a cycle; ``x`` and ``mode`` are those after the last jump.
 
-    The arc from there to the limit is recorded as a straight line. ``late``: by how much the limit
-    may come later, as far as rounding hides it; ``moved``: how far from it the run goes on.
+    The arc from there to the limit is recorded as a straight line, of which delays see the
+    ``means`` of the elements that resets move all along. ``late``: by how much the limit may come
+    later, as far as rounding hides it; ``moved``: how far from it the run goes on.
     """
     record, held = driver.record, driver.still_held(mode, x)
     segments = [straight(0.0, found.remaining, x, found.x_inf)] if found.remaining else []
     field = driver.scene.field(driver.scene.name(mode, held))
     sides = _sides(driver, field, x)
     record.arc(field, x, found.x_inf, found.remaining, segments)
+    if record.memory is not None and segments:
+        record.memory.limit(driver.t, found.x_inf, means or {})
     if not found.remaining:  # impacts at one instant may have opened others
         held = driver.still_held(mode, found.x_inf)
     after = _after(driver, found.edges, held)

@@ -4,6 +4,7 @@ it."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import attrs
@@ -260,8 +261,19 @@ def pass_limit(driver: Driver, mode: str) -> bool:
             return False
         found = attrs.evolve(found, limits=_named(turn))
     moved = _uncertain(driver.scene, turn, found) if plan.shaken else 0.0
-    pass_cycle(driver, found, cycles.seen.x[-1].copy(), mode, moved=moved)
+    means = _means(turn, plan.rtol)
+    pass_cycle(driver, found, cycles.seen.x[-1].copy(), mode, moved=moved, means=means)
     return True
+
+
+def _means(turn: Turn, rtol: float) -> dict[int, float]:
+    """Of the elements of the state that resets still move at the limit, the means over a turn: they
+    are what comes after the jumps, each for the share of the time of the flight behind it."""
+    limits, slack = np.array(turn.limits[:-1]), turn.slack(-1, rtol)
+    moves = np.flatnonzero(np.ptp(limits, axis=0) > slack).tolist()
+    times = [now.until(jump) for now, jump in pairwise(turn.seen)]
+    means = np.average(limits, axis=0, weights=times)
+    return {i: float(means[i]) for i in moves}
 
 
 def _uncertain(scene: Scene, turn: Turn, found: CycleLimit) -> Numbers:
