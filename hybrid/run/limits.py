@@ -261,7 +261,7 @@ def pass_limit(driver: Driver, mode: str) -> bool:
             return False
         found = attrs.evolve(found, limits=_named(turn))
     moved = _uncertain(driver.scene, turn, found) if plan.shaken else 0.0
-    means = _means(turn, plan.rtol)
+    means = _means(turn, plan.rtol) if found.remaining else None
     pass_cycle(driver, found, cycles.seen.x[-1].copy(), mode, moved=moved, means=means)
     return True
 
