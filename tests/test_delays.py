@@ -456,6 +456,36 @@ def test_jumps_of_a_cycle_are_remembered_up_to_its_limit(solver, r, lag):
     assert abs(run.final.z + model.height(lag)) < (4e-12 if solver == "taylor" else 1e-8)
 
 
+class Carried(hy.Automaton):
+    """A body on a floor that goes where another state was a lag ago."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    u = hy.state()
+    lag: float = hy.parameter(0.3)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -10.0, s.u, -4.0 * s.y
+
+    floor = hy.contact(flight, gap=lambda self, t, s, past: s.x - past(self.lag).y, restitution=0.3)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_a_body_has_the_speed_of_its_floor_wherever_the_run_ends(solver):
+    """``y = -0.4 cos 2t``, so at rest the speed is ``0.8 sin 2(t - lag)``. The lag added to a place
+    and taken off again may leave a rounding of the time, on which nothing shows a rate: the speed
+    was 0 at 1 of 20 ends."""
+    draw = np.random.default_rng(3)
+    start = {"x": 0.4, "v": 0.0, "y": -0.4, "u": 0.0}
+    for t in draw.uniform(0.8, 2.2, 60):
+        model = Carried(lag=draw.uniform(0.2, 0.5))
+        run = hy.simulate(model, start, (0.0, t), solver=solver, rtol=1e-9)
+        assert run.mode == "flight.rest(floor)"
+        assert run.final.v == pytest.approx(0.8 * np.sin(2 * (t - model.lag)), abs=1e-7)
+
+
 class Flips(hy.Automaton):
     """A ball whose impacts set ``q`` in turn to 1 and to another value, and an integral of what
     that was a lag ago."""

@@ -128,9 +128,16 @@ def read(t: float, again: bool, past: PastArrays) -> int:
                 return status
         if past.moves[k] == FIXED:
             end = min(end, past.windows[k, TO_PLACE] + (t - s))
-    floats[SERVES_UNTIL] = min(floats[FINAL], max(end, t + slack(t)))
+    floats[SERVES_UNTIL] = served(max(end, t + slack(t)), past)
     ints[STEPPED], ints[PIECES_KEPT] = 0, ints[PIECES_KNOWN]
     return FOUND
+
+
+def served(end: float, past: PastArrays) -> float:
+    """Up to when windows serve that lead to a time: to the end of the run, if rounding does not
+    tell the two apart. A window on what is left would show no rates."""
+    final = past.floats[FINAL]
+    return final if final - end <= slack(final) else end
 
 
 def window(
@@ -324,7 +331,7 @@ def stays(t: float, past: PastArrays) -> bool:
             cut(k, t, past)
         if past.moves[k] == FIXED:
             end = min(end, past.windows[k, TO_PLACE] + past.lags[k])
-    floats[SERVES_UNTIL], floats[STRIDE], ints[TIGHT], ints[GUESSED] = end, 0.0, 0, 0
+    floats[SERVES_UNTIL], floats[STRIDE], ints[TIGHT], ints[GUESSED] = served(end, past), 0.0, 0, 0
     return True
 
 
