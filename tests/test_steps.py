@@ -217,6 +217,14 @@ def test_the_length_of_a_series_whose_last_terms_are_next_to_nothing(unit):
     assert step(c[None], 1) == step(short[None], 1)
 
 
+def test_no_length_is_longer_than_that_of_the_series(unit):
+    """Whatever length is given; none is infinitely long, as a flight is of free fall."""
+    c, least = 2.0 ** -np.arange(ORDER + 1.0), unit("lengths").min_own_length
+    own = unit("lengths").own_length(c, 1e-16)
+    assert least(c, 1e-16, math.inf) == least(c, 1e-16, 1e3) == own
+    assert least(c, 1e-16, 0.5 * own) == 0.5 * own
+
+
 def test_polynomials_are_exact_everywhere(unit):
     """No last terms, no end; a state that is zero and at rest asks for nothing."""
     c = np.zeros((2, ORDER + 1))

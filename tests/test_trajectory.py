@@ -360,6 +360,27 @@ def test_reading_at_the_listed_times_of_a_tail():
     assert np.all(sampled.to_xarray().v.values > 0)
 
 
+@pytest.mark.parametrize(("solver", "rtol"), [("taylor", 1e-3), ("taylor", 1e-6), ("scipy", 1e-8)])
+def test_flights_of_a_sum_are_listed_as_they_are_made(solver, rtol):
+    """The table turns by 1 to 3 rad in the first flight that is summed, which several series make:
+    of free fall a series never ends, but that of the gap does. Each arc ends at the next jump, and
+    is the parabola from the last, to the tolerance and to rounding."""
+    draw = np.random.default_rng(3)
+    for _ in range(20):
+        omega = 10 ** draw.uniform(1.5, 2.5)
+        push = 10 ** draw.uniform(-2.2, -0.8)
+        table = BeadOnTable(r=draw.uniform(0.25, 0.5), amplitude=push * 9.8 / omega**2, omega=omega)
+        start = {"x": draw.uniform(0.1, 1.0), "v": 0.0}
+        run = hy.simulate(table, start, (draw.uniform(0.0, 1.0), 4.0), solver=solver, rtol=rtol)
+        assert run.mode == "flight.rest(impact)"
+        for jump, arc, after in zip(run.jumps[:8], run.arcs[1:9], run.arcs[2:10], strict=True):
+            s, x, v = 0.5 * (after.t0 - arc.t0), jump.after.x, jump.after.v
+            middle, off = run(arc.t0 + s), 1e-13 + rtol * s
+            assert arc.t1 == pytest.approx(after.t0, abs=off)
+            assert middle.x == pytest.approx(x + v * s - 4.9 * s * s, abs=10 * off)
+            assert middle.v == pytest.approx(v - 9.8 * s, abs=10 * off)
+
+
 def test_the_listed_speeds_of_a_tail_keep_their_digits():
     """Down to the last impact listed, at 1e-15, speeds are r^n of the first, on both sides."""
     run = hy.simulate(BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 3), solver="taylor")

@@ -131,6 +131,8 @@ def time_scale(c: Floats) -> float:
 
 def min_own_length(c: Floats, share: float, length: float) -> float:
     """The given length, or :func:`own_length` if shorter, which takes longer to compute."""
+    if length == math.inf:  # powers of which compare with nothing
+        return own_length(c, share)
     last, power_of_length, largest = known(c), 1.0, 0.0
     for k in range(last - 1):
         largest = max(largest, abs(c[k]) * power_of_length)

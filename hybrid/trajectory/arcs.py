@@ -186,10 +186,11 @@ class TailPart(_Moded):
         tail = self.tail
         flight = tail.flight(n)
         x = tail.point(tail.r**n)[1] if n else tail.x
-        if flight is None:
-            length = float(tail.remaining - tail.times[n])
-            segments = [straight(0.0, length, x, tail.x_inf)]
-            end = tail.x_inf
+        if flight is None:  # a line, to the next impact or the limit
+            last = n == tail.count
+            length = float((tail.remaining if last else tail.times[n + 1]) - tail.times[n])
+            end = tail.x_inf if last else tail.impacts[0][n]
+            segments = [straight(0.0, length, x, end)]
         else:
             length, end = flight.time, np.array(flight.x)
             segments = flight.segments()
