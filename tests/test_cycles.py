@@ -845,3 +845,63 @@ def test_what_is_not_known_at_a_limit_is_not_known_behind_it(solver):
         assert [point.mode for point in run.zeno] == ["one", "none"]
         for point, at in zip(run.zeno, limits, strict=True):
             assert abs(point.t - at) <= point.t_error <= 1e-6
+
+
+class Beside(hy.Automaton):
+    """A ball that bounces in turns in two gears, and a body on a floor that shakes."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    w = hy.state()
+    g = hy.parameter(np.ones(2))
+    r: float = hy.parameter(0.55)
+    amplitude: float = hy.parameter(0.02)
+    omega: float = hy.parameter(2.4)
+
+    def gap(self, t, s):
+        return s.y - self.amplitude * jnp.sin(self.omega * t)
+
+    @hy.mode(initial=True)
+    def light(self, t, s):
+        return s.v, -self.g[0], s.w, -7.5
+
+    @hy.mode
+    def heavy(self, t, s):
+        return s.v, -self.g[1], s.w, -7.5
+
+    @hy.mode(limit_of=("first", "second"))
+    def rest(self, t, s):
+        return 0.0 * s.v, 0.0, s.w, -7.5
+
+    on_light = hy.contact(light, gap=gap, restitution=0.5)
+    on_heavy = hy.contact(heavy, gap=gap, restitution=0.5)
+    on_rest = hy.contact(rest, gap=gap, restitution=0.5)
+
+    @hy.edge(light, to=heavy, guard=lambda self, t, s: s.x)
+    def first(self, t, s):
+        return s.replace(v=-self.r * s.v)
+
+    @hy.edge(heavy, to=light, guard=lambda self, t, s: s.x)
+    def second(self, t, s):
+        return s.replace(v=-self.r * s.v)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_a_body_at_rest_beside_a_cycle_stays_so_at_its_limit(solver):
+    """The floor of each mode is another contact, in one place, and its acceleration is less than
+    gravity: nothing may happen there. The limit of the body's state, extrapolated, was up to 1e-9
+    off the floor, from where it fell."""
+    draw = np.random.default_rng(3)
+    for _ in range(10):
+        g, omega, x = draw.uniform(0.5, 10.0, 2), draw.uniform(1.0, 5.0), draw.uniform(0.1, 1.0)
+        model = Beside(g=g, r=draw.uniform(0.1, 0.8), omega=omega, amplitude=6.0 / omega**2)
+        limit = geared_limit(g, [model.r] * 2, x)
+        start = {"x": x, "v": 0.0, "y": 0.0, "w": model.amplitude * omega}
+        run = hy.simulate(
+            model, start, (0.0, limit + 0.5), mode="light.rest(on_light)", solver=solver
+        )
+        (point,) = run.zeno
+        assert abs(point.t - limit) <= point.t_error <= 1e-11
+        assert run.mode == "rest.rest(on_rest)"
+        assert set(run.jumps.edge) == {"first", "second"}

@@ -587,16 +587,32 @@ class Driver:
 
     def still_held(self, mode: str, x: StateVector) -> tuple[str, ...]:
         """The held contacts that a jump has left closed: their gap and gap speed are zero."""
-        if mode != self.entry.field.mode or not self.entry.field.held:
+        if mode != self.entry.field.mode:
             return ()
-        field, held = self.scene.field(mode), []
-        for guard in field.guards:
-            if guard.edge in self.entry.field.held:
-                gap, speed, _ = guard.lie(self.t, x.tolist())
-                high, fast, _ = extent(self.scene, guard, field, self.t, x, self.seen)
-                if abs(gap) <= CLOSED * high and abs(speed) <= CLOSED * fast:
-                    held.append(guard.edge)
-        return tuple(held)
+        return tuple(g.edge for g in self._zero(mode, x) if g.edge in self.entry.field.held)
+
+    def carried(self, mode: str, x: StateVector) -> tuple[str, ...]:
+        """The held contacts behind a jump, of a mode that may be another: :meth:`still_held`, or
+        those of the other that are closed and that its forces push together."""
+        if mode == self.entry.field.mode:
+            return self.still_held(mode, x)
+        t, there = self.t, x.tolist()
+        return tuple(g.edge for g in self._zero(mode, x) if g.lie(t, there)[2] < 0.0)
+
+    def _zero(self, mode: str, x: StateVector) -> list[Guard]:
+        """The gaps of a mode that are zero behind a jump, as are their speeds, if any contacts were
+        held before it."""
+        field, found = self.scene.field(mode), []
+        for guard in field.guards if self.entry.field.held else ():
+            gap, speed, _ = guard.lie(self.t, x.tolist())
+            high, fast, _ = extent(self.scene, guard, field, self.t, x, self.seen)
+            if (
+                guard.kind == "contact"
+                and abs(gap) <= CLOSED * high
+                and abs(speed) <= CLOSED * fast
+            ):
+                found.append(guard)
+        return found
 
     def closed(self, mode: str, held: tuple[str, ...], x: StateVector) -> StateVector:
         """The state projected onto the held contacts, with gaps and gap speeds exactly zero."""
