@@ -10,6 +10,7 @@ import pytest
 from scipy.special import zeta
 
 import hybrid as hy
+from hybrid.lowering.scene import scene_of
 from hybrid.run import cycles
 from hybrid.zeno.cycle import accelerated, limit, period
 from models.two_tanks import TwoTanks
@@ -905,3 +906,65 @@ def test_a_body_at_rest_beside_a_cycle_stays_so_at_its_limit(solver):
         assert abs(point.t - limit) <= point.t_error <= 1e-11
         assert run.mode == "rest.rest(on_rest)"
         assert set(run.jumps.edge) == {"first", "second"}
+
+
+class Sticking(hy.Automaton):
+    """A block that sticks to a table by dry friction, and a ball that bounces on it: an edge in
+    each of the two modes of the block."""
+
+    u = hy.state()
+    y = hy.state()
+    w = hy.state()
+    force: float = hy.parameter(1.0)
+    r: float = hy.parameter(0.5)
+    g: float = hy.parameter(10.0)
+
+    @hy.mode(initial=True)
+    def forwards(self, t, s):
+        return self.force * jnp.sin(t) - 3.0, s.w, -self.g
+
+    @hy.mode
+    def backwards(self, t, s):
+        return self.force * jnp.sin(t) + 3.0, s.w, -self.g
+
+    friction = hy.switching(forwards, backwards, surface=lambda self, t, s: s.u)
+
+    @hy.mode(limit_of=("first", "friction"))
+    def ground(self, t, s):
+        return 0.0, 0.0, 0.0
+
+    @hy.edge(forwards, to=forwards, guard=lambda self, t, s: s.y)
+    def first(self, t, s):
+        return s.replace(w=-self.r * s.w, y=0.0)
+
+    @hy.edge(backwards, to=backwards, guard=lambda self, t, s: s.y)
+    def second(self, t, s):
+        return s.replace(w=-self.r * s.w, y=0.0)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_impacts_of_two_modes_accumulate_while_a_body_sticks(solver):
+    """The guards of both edges are one function and are watched while it sticks; the edge declared
+    first fires. The other is zero at the limit, too, and is no reason not to pass it."""
+    draw = np.random.default_rng(0)
+    for _ in range(8):
+        model = Sticking(
+            force=draw.integers(2), r=draw.uniform(0.1, 0.75), g=draw.uniform(3.0, 10.0)
+        )
+        y = draw.uniform(0.1, 1.0)
+        limit = math.sqrt(2.0 * y / model.g) * (1.0 + model.r) / (1.0 - model.r)
+        start = {"u": 0.1, "y": y, "w": 0.0}
+        run = hy.simulate(model, start, (0.0, limit + 0.3), solver=solver)
+        (point,) = run.zeno
+        assert point.edges == ("first", "friction")
+        assert abs(point.t - limit) <= point.t_error <= 1e-11
+        assert run.mode == "ground"
+        assert "second" not in run.jumps.edge
+
+
+def test_rounding_of_a_guard_that_is_made_of_zeros_may_be_anywhere_in_a_flight():
+    """It has no size and no rate; the time at which it fired is not known any better."""
+    scene, none = scene_of(Sticking()), np.zeros(2)
+    names = np.array(["first"] * 2), np.array(["forwards"] * 2)
+    seen = cycles.Columns(*names, np.array([0.0, 0.25]), none, none, np.zeros((2, 3)))
+    assert cycles.blurs(scene, seen, np.array([1]), 1).tolist() == [0.25]

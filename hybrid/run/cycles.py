@@ -138,7 +138,8 @@ def blurs(scene: Scene, seen: Columns, closings: Integers, length: int) -> Numbe
         if guard is not None and s > 0.0:
             value, rate, _ = guard.lie(now.t, now.x.tolist())
             size = scene.rounding(guard, field)(now.t, now.x.tolist())[0]
-            off[k + 1] = EPS * size / max(abs(2.0 * value / s + rate), EPS * size / s)
+            rounding, speed = EPS * size, abs(2.0 * value / s + rate)
+            off[k + 1] = rounding / speed if rounding < s * speed else s
     ends = np.cumsum(off)[closings - first]
     return np.diff(ends, prepend=0.0)
 

@@ -111,9 +111,9 @@ def _keeps_law(
     made, change = sampled(reset, known)
     noise = 64 * EPS * np.abs(rates).max(axis=0) + drift
     return (
-        _follows(rates, np.where(sure[:, None], noise, np.inf))
-        and _follows(values / share, shift / share)
-        and _follows((made - limit) / share, (turn.known(k + 1) + change) / share)
+        _settles(rates, np.where(sure[:, None], noise, np.inf))
+        and _settles(values / share, shift / share)
+        and _settles((made - limit) / share, (turn.known(k + 1) + change) / share)
     )
 
 
@@ -128,7 +128,7 @@ def _keeps_formula(field: Field, turn: Turn, k: int, t: float) -> bool:
     return True
 
 
-def _follows(laws: Matrix, off: Matrix) -> bool:
+def _settles(laws: Matrix, off: Matrix) -> bool:
     """Whether what is made of a distance changes ever less as that is halved; ``off``: how well it
     is known."""
     changes = np.abs(np.diff(laws, axis=0))
@@ -144,13 +144,29 @@ def _alone(field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...]) -
     known = turn.known(k)
     for column, guard in enumerate(field.guards):
         here, before = guard.value(t, x.tolist()), guard.value(now.t, now.x.tolist())
-        ours = guard.edge in cycle and abs(here) <= _allowed(guard, t, x, known, turn.first)
+        own = guard.edge in cycle or _follows(field, guard, cycle, [(t, x), (now.t, now.x)])
+        ours = own and abs(here) <= _allowed(guard, t, x, known, turn.first)
         if not ours and (guard.edge == jump.edge or here * before <= 0):
             return False
         if not ours and abs(here) > _shifted(guard, t, x, known):
             others.append(column)
     way = _way(field, now, now.until(jump), t, x)
     return not others or t <= now.t or excluded(field, others, hull(way, BOX_MARGIN))
+
+
+def _follows(
+    field: Field, guard: Guard, cycle: tuple[str, ...], points: list[tuple[float, StateVector]]
+) -> bool:
+    """Whether a guard is that of an edge of the cycle declared before its own, as of the two modes
+    on the sides of a surface: that one fires whenever it does."""
+    lies = [guard.lie(t, x.tolist()) for t, x in points]
+    before = field.guards[: field.column(guard.edge)]
+    return any(
+        other.edge in cycle
+        and other.crossing == guard.crossing
+        and [other.lie(t, x.tolist()) for t, x in points] == lies
+        for other in before
+    )
 
 
 def _way(field: Field, now: Seen, length: float, t: float, x: StateVector) -> Matrix:
