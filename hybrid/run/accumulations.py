@@ -26,6 +26,7 @@ from ..zeno.narrow import law_error, seen
 from ..zeno.others import apart
 from . import truncate
 from .entry import Entry, Jumped, expand
+from .growth import grown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -93,6 +94,7 @@ def _settles(driver: Driver, contact: Contact, x: StateVector, v: float, field: 
         left = _remaining(driver, contact, x, v, field)
         if left == np.inf:
             return False
+        left += grown(driver, contact, field) if driver.plan.closing < 1.0 else 0.0
     found = CycleLimit((contact.name,), 0.0, x_inf, np.nan, EPS * abs(t), error, watch.count)
     pass_cycle(driver, found, x, field.mode, left)
     return True
