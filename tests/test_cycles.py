@@ -968,3 +968,43 @@ def test_rounding_of_a_guard_that_is_made_of_zeros_may_be_anywhere_in_a_flight()
     names = np.array(["first"] * 2), np.array(["forwards"] * 2)
     seen = cycles.Columns(*names, np.array([0.0, 0.25]), none, none, np.zeros((2, 3)))
     assert cycles.blurs(scene, seen, np.array([1]), 1).tolist() == [0.25]
+
+
+class Squeezed(hy.Automaton):
+    """A ball between a floor and a ceiling that comes down on it at a constant speed."""
+
+    y = hy.state()
+    v = hy.state()
+    g: float = hy.parameter(9.81)
+    height: float = hy.parameter(1.0)
+    speed: float = hy.parameter(0.5)
+    below: float = hy.parameter(0.8)
+    above: float = hy.parameter(0.7)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -self.g
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.y, restitution="below")
+    ceiling = hy.contact(
+        flight, gap=lambda self, t, s: self.height - self.speed * t - s.y, restitution="above"
+    )
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_a_ball_that_is_squeezed_ends_its_run_where_nothing_is_left_of_the_gap(solver):
+    """Its impacts follow each other ever sooner, or it lies on the floor until the ceiling comes:
+    then they go on at one instant, at speeds that come round and do not fall."""
+    draw = np.random.default_rng(11)
+    for _ in range(12):
+        below, above = draw.uniform(0.05, 1.0, 2)
+        height, speed = draw.uniform(0.5, 2.0), draw.uniform(0.1, 3.0)
+        gravity = draw.choice([0.0, 1.0, 9.81])
+        model = Squeezed(g=gravity, height=height, speed=speed, below=below, above=above)
+        start = {"y": draw.uniform(0.1, 0.9) * height, "v": draw.uniform(-2.0, 2.0)}
+        run = hy.simulate(model, start, (0.0, height / speed + 1.0), solver=solver)
+        assert run.status is hy.Status.NO_REST
+        point = run.zeno[-1]
+        assert point.edges == ("ceiling", "floor")
+        assert point.t == run.t1
+        assert abs(point.t - height / speed) <= point.t_error <= 1e-8 * point.t  # SciPy's rtol

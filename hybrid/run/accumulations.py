@@ -243,9 +243,9 @@ def pass_cycle(
         record.memory.limit(driver.t, found.x_inf, means or {})
     if not found.remaining:  # impacts at one instant may have opened others
         held = driver.still_held(mode, found.x_inf)
-    after = _after(driver, found.edges, held)
-    if after is not None and not np.isfinite(driver.closed(*after, found.x_inf)).all():
-        after = None  # contacts that close on a body from both sides leave it no rest
+    after = after_cycle(driver, found.edges, held)
+    if shut(driver, after, found.x_inf):
+        after = None
     rest = driver.scene.field(driver.scene.name(*after)) if after else field
     unlike = _unlike(driver, field, found) if after else 0.0
     for time, there in ((late, rest), (unlike, field)):
@@ -270,7 +270,13 @@ def _unlike(driver: Driver, field: Field, found: CycleLimit) -> float:
     return max((time for time in left if time < np.inf), default=0.0)
 
 
-def _after(
+def shut(driver: Driver, after: tuple[str, tuple[str, ...]] | None, x: StateVector) -> bool:
+    """Whether the contacts held in what follows close on a body from both sides, and leave it no
+    rest."""
+    return after is not None and not bool(np.isfinite(driver.closed(*after, x)).all())
+
+
+def after_cycle(
     driver: Driver, cycle: tuple[str, ...], held: tuple[str, ...]
 ) -> tuple[str, tuple[str, ...]] | None:
     """The mode and the held contacts after a cycle: the mode that the author names with

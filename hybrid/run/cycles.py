@@ -15,6 +15,7 @@ import attrs
 import numpy as np
 
 from ..lowering import Field, Guard, Scene
+from ..rules.entries import POSITION_ROUNDING
 from ..rules.lanes import (
     FAST_FALL,
     FEW_TURNS,
@@ -201,6 +202,8 @@ class Cycles:
         The time spent in idle flights.
     patience : int
         How many jumps there must be before impacts at one instant are looked at once more.
+    standing : int
+        How many there must be before jumps that take no time are.
     beside : sequence of int
         Elements of the state on which nothing else depends; they need not have a limit.
     ahead : Ahead or None
@@ -212,7 +215,7 @@ class Cycles:
         self.ahead: Ahead | None = None
         self.longest = self.spent = 0.0
         self.asked = self.stands = False
-        self.next, self.patience = 2 * LEAST_WINDOW, 0
+        self.next, self.patience, self.standing = 2 * LEAST_WINDOW, 0, 0
         self.seen = self._room = NO_JUMPS
         self.before = frozenset[str]()
 
@@ -309,12 +312,15 @@ class Cycles:
         return any(own.count(own[0]) == len(own) for own in edges)
 
     def _stops(self) -> bool:
-        """Whether the last jumps have taken no time; true once, when it begins."""
+        """Whether the last jumps have taken no time; true when it begins, and whenever there are
+        twice as many, as the states may take a while to come round."""
         stood, self.stands, clock = self.stands, False, self.seen.clock
         if len(clock) >= STILL_JUMPS:
             spent = clock[-1] - clock[-STILL_JUMPS]
             self.stands = bool(spent <= _tick(STILL_JUMPS, self.seen.t[-1]))
-        return self.stands and not stood
+        due = self.stands and not (stood and len(clock) < self.standing)
+        self.standing = 2 * len(clock) if due else self.standing
+        return due
 
     def first_of(self, edge: str) -> float:
         """The time of the first of the last jumps that are all of this edge."""
@@ -396,9 +402,11 @@ class Cycles:
                 return attrs.evolve(found, ratio=found.ratio ** (shortest / length)), turn
         return None
 
-    def reached(self, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
+    def reached(
+        self, rtol: float, atol: float, largest: StateVector
+    ) -> tuple[CycleLimit, Turn] | None:
         """The limit at which the last jumps stand still, if they do: no time passes and the states
-        come round.
+        come round. They have the rounding of the ``largest`` states seen.
 
         Its ratio is that of the last turns that took time; 0 if these were not seen to shrink.
         """
@@ -410,6 +418,8 @@ class Cycles:
                 slack = [rtol * np.abs(x) + atol for x in turn.limits]
                 known = [e <= s for e, s in zip(turn.errors, slack, strict=True)]
                 if np.delete(known, self.beside, axis=1).all():
+                    rounding = POSITION_ROUNDING * EPS * largest
+                    turn = attrs.evolve(turn, errors=[np.maximum(e, rounding) for e in turn.errors])
                     times = np.diff(self.seen.clock[closings])
                     times = times[times > _tick(length, t)]
                     shrinks = len(times) > 1 and times[-1] < WINDOW_FALL * times[-2]

@@ -18,7 +18,7 @@ from ..rules.zeros import EPS
 from ..zeno.cycle import CycleLimit
 from ..zeno.narrow import damps
 from ..zeno.others import excluded, hull
-from .accumulations import pass_cycle
+from .accumulations import after_cycle, pass_cycle, shut
 from .cycles import ZERO, Cycles, Seen, Turn
 from .instant import collapse
 
@@ -267,7 +267,9 @@ def pass_limit(driver: Driver, mode: str) -> bool:
         return False
     after = driver.scene.spec.mode_after(found.edges)
     if found.ratio == 0.0 and after is None:
-        return False
+        held = driver.still_held(mode, cycles.seen.x[-1])
+        if not shut(driver, after_cycle(driver, found.edges, held), found.x_inf):
+            return False
     t = driver.record.now.after(found.remaining).t
     if not persists(driver.scene, turn, t, found, plan.rtol):
         return False
@@ -341,7 +343,7 @@ def _sought(driver: Driver) -> tuple[CycleLimit, Turn] | None:
     if ahead is not None or cycles.ahead is not None:
         return ahead
     if cycles.stands:
-        return cycles.reached(rtol, atol)
+        return cycles.reached(rtol, atol, driver.seen)
     own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
     for *known, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, DROWNING)]:
         sought = cycles.limit(driver.scene, *known)
