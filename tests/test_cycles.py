@@ -962,6 +962,71 @@ def test_impacts_of_two_modes_accumulate_while_a_body_sticks(solver):
         assert "second" not in run.jumps.edge
 
 
+class Carried(hy.Automaton):
+    """A block that sticks to a belt that shakes, until a ball on it lies still, and then."""
+
+    u = hy.state()
+    y = hy.state()
+    w = hy.state()
+    r: float = hy.parameter(0.5)
+    g: float = hy.parameter(10.0)
+    belt: float = hy.parameter(0.1)
+    omega: float = hy.parameter(2.0)
+
+    def slip(self, t, s):
+        return s.u - self.belt * jnp.sin(self.omega * t)
+
+    @hy.mode(initial=True)
+    def forwards(self, t, s):
+        return -3.0, s.w, -self.g
+
+    @hy.mode
+    def backwards(self, t, s):
+        return 3.0, s.w, -self.g
+
+    friction = hy.switching(forwards, backwards, surface=slip)
+
+    @hy.mode(limit_of=("first", "friction"))
+    def loaded_forwards(self, t, s):
+        return -5.0, 0.0, 0.0
+
+    @hy.mode
+    def loaded_backwards(self, t, s):
+        return 5.0, 0.0, 0.0
+
+    loaded = hy.switching(loaded_forwards, loaded_backwards, surface=slip)
+
+    @hy.edge(forwards, to=forwards, guard=lambda self, t, s: s.y)
+    def first(self, t, s):
+        return s.replace(w=-self.r * s.w, y=0.0)
+
+    @hy.edge(backwards, to=backwards, guard=lambda self, t, s: s.y)
+    def second(self, t, s):
+        return s.replace(w=-self.r * s.w, y=0.0)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_what_sticks_beside_a_cycle_does_so_at_its_limit(solver):
+    """The limit of what is carried, extrapolated, was up to 1e-12 off the surface of the next mode,
+    which it must not be beyond."""
+    draw = np.random.default_rng(0)
+    for _ in range(6):
+        model = Carried(
+            r=draw.uniform(0.1, 0.8),
+            g=draw.uniform(3.0, 10.0),
+            belt=draw.uniform(0.01, 0.5),
+            omega=draw.uniform(0.5, 3.0),
+        )
+        y = draw.uniform(0.1, 1.0)
+        limit = math.sqrt(2.0 * y / model.g) * (1.0 + model.r) / (1.0 - model.r)
+        run = hy.simulate(model, {"u": 0.1, "y": y, "w": 0.0}, (0.0, limit + 0.5), solver=solver)
+        (point,) = run.zeno
+        assert abs(point.t - limit) <= point.t_error <= 1e-9
+        assert run.mode == "slide(loaded)"
+        assert run.jumps.edge[-1] == "loaded"
+        assert run.final.u == pytest.approx(model.belt * np.sin(model.omega * run.t1), abs=1e-14)
+
+
 def test_rounding_of_a_guard_that_is_made_of_zeros_may_be_anywhere_in_a_flight():
     """It has no size and no rate; the time at which it fired is not known any better."""
     scene, none = scene_of(Sticking()), np.zeros(2)

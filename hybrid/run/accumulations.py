@@ -232,9 +232,8 @@ def pass_cycle(
     ``means`` of the elements that resets move all along. ``late``: by how much the limit may come
     later, as far as rounding hides it; ``moved``: how far from it the run goes on.
     """
-    record, held = driver.record, driver.carried(mode, x)
+    record, field = driver.record, driver.carrier(mode, x)
     segments = [straight(0.0, found.remaining, x, found.x_inf)] if found.remaining else []
-    field = driver.scene.field(driver.scene.name(mode, held))
     sides = _sides(driver, field, x)
     on_held = record.arc(field, x, found.x_inf, found.remaining, segments)
     moved = field.along(driver.t, on_held + moved) - on_held

@@ -591,13 +591,20 @@ class Driver:
             return ()
         return tuple(g.edge for g in self._zero(mode, x) if g.edge in self.entry.field.held)
 
-    def carried(self, mode: str, x: StateVector) -> tuple[str, ...]:
-        """The held contacts behind a jump, of a mode that may be another: :meth:`still_held`, or
-        those of the other that are closed and that its forces push together."""
-        if mode == self.entry.field.mode:
-            return self.still_held(mode, x)
-        t, there = self.t, x.tolist()
-        return tuple(g.edge for g in self._zero(mode, x) if g.lie(t, there)[2] < 0.0)
+    def carrier(self, mode: str, x: StateVector) -> Field:
+        """The field of the contacts, or of the surface, on which a jump has left the state, that
+        was held there before it; they may be of another mode, whose forces push them together."""
+        slid, there = self.entry.field, x.tolist()
+        switching = self.scene.spec.sliding(slid.mode)
+        if switching is not None and mode in (switching.positive, switching.negative):
+            off = np.abs(slid.along(self.t, x) - x)
+            return slid if np.all(off <= CLOSED * self.seen) else self.scene.field(mode)
+        if mode == slid.mode:
+            held = self.still_held(mode, x)
+        else:
+            zero = self._zero(mode, x)
+            held = tuple(g.edge for g in zero if g.lie(self.t, there)[2] < 0.0)
+        return self.scene.field(self.scene.name(mode, held))
 
     def _zero(self, mode: str, x: StateVector) -> list[Guard]:
         """The gaps of a mode that are zero behind a jump, as are their speeds, if any contacts were
