@@ -200,10 +200,8 @@ class Cycles:
         The longest flight of the run.
     spent : float
         The time spent in idle flights.
-    patience : int
-        How many jumps there must be before impacts at one instant are looked at once more.
     standing : int
-        How many there must be before jumps that take no time are.
+        How many jumps there must be before those that take no time are looked at once more.
     beside : sequence of int
         Elements of the state on which nothing else depends; they need not have a limit.
     ahead : Ahead or None
@@ -215,7 +213,7 @@ class Cycles:
         self.ahead: Ahead | None = None
         self.longest = self.spent = 0.0
         self.asked = self.stands = False
-        self.next, self.patience, self.standing = 2 * LEAST_WINDOW, 0, 0
+        self.next, self.standing = 2 * LEAST_WINDOW, 0
         self.seen = self._room = NO_JUMPS
         self.before = frozenset[str]()
 
@@ -366,7 +364,7 @@ class Cycles:
     def forget(self) -> None:
         """Start anew, after an accumulation."""
         self.before, self.seen, self.ahead = self.latest, NO_JUMPS, None
-        self.next, self.stands, self.patience = 2 * LEAST_WINDOW, False, 0
+        self.next, self.stands, self.standing = 2 * LEAST_WINDOW, False, 0
 
     @property
     def period(self) -> int:

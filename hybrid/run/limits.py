@@ -315,10 +315,9 @@ def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
     """The limit of impacts at one instant that never end, if the last jumps are such."""
     if driver.record.memory is not None:  # what delays see may change with each of them
         return None
-    cycles, made = driver.cycles, len(driver.cycles.seen.t)
-    if made < cycles.patience:
+    cycles = driver.cycles
+    if cycles.standing != 2 * len(cycles.seen.t):  # it takes as long as many jumps
         return None
-    cycles.patience = 2 * made  # it takes as long as many jumps
     return collapse(driver.scene, mode, cycles.last(STILL_JUMPS), cycles.still)
 
 
