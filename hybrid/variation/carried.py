@@ -14,7 +14,7 @@ from ..delay.pieces import window_on
 from ..delay.windows import TO_POWERS
 from ..errors import OrbitError
 from ..rules.changes import TIED
-from ..rules.limits import SAME_FLOW
+from ..rules.limits import SAME_FLOW, USABLE
 from ..rules.places import WINDOW_DEGREE
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc, JumpRow
@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 #: Flights of a series of impacts shorter than this, relative to the first, are recorded as one; the
 #: second value applies if delays see jumps at the impacts.
 SHORT_FLIGHT, SHORT_SEEN_FLIGHT = 1e-6, 1e-9
+
+#: Between the two, so are those that are no longer than so many times the shortest of which the
+#: time resolves the speed.
+RESOLVED = 4.0
 
 #: Least length of a window, in spacings of the time.
 WINDOW_SPACINGS = 64.0
@@ -255,7 +259,9 @@ class Carried:
         jump = part.jump(1) if part.tail.count else None
         shows = jump is not None and any(jump.before[e] != jump.after[e] for e in seen)
         arcs, jumps = [part.arc(0)], dict[int, JumpRow]()
-        least = (SHORT_SEEN_FLIGHT if shows else SHORT_FLIGHT) * arcs[0].length
+        short = SHORT_FLIGHT * arcs[0].length
+        resolved = min(RESOLVED * ulp(part.t1) / USABLE, short)
+        least = max(SHORT_SEEN_FLIGHT * arcs[0].length, resolved) if shows else short
         while len(arcs) < part.tail.count and arcs[-1].length > least:
             jumps[len(arcs) - 1] = part.jump(len(arcs))
             arcs.append(part.arc(len(arcs)))
