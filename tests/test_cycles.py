@@ -894,7 +894,7 @@ def test_a_body_at_rest_beside_a_cycle_stays_so_at_its_limit(solver):
     gravity: nothing may happen there. The limit of the body's state, extrapolated, was up to 1e-9
     off the floor, from where it fell."""
     draw = np.random.default_rng(3)
-    for _ in range(10):
+    for _ in range(5):
         g, omega, x = draw.uniform(0.5, 10.0, 2), draw.uniform(1.0, 5.0), draw.uniform(0.1, 1.0)
         model = Beside(g=g, r=draw.uniform(0.1, 0.8), omega=omega, amplitude=6.0 / omega**2)
         limit = geared_limit(g, [model.r] * 2, x)
@@ -1061,7 +1061,7 @@ def test_a_ball_that_is_squeezed_ends_its_run_where_nothing_is_left_of_the_gap(s
     """Its impacts follow each other ever sooner, or it lies on the floor until the ceiling comes:
     then they go on at one instant, at speeds that come round and do not fall."""
     draw = np.random.default_rng(11)
-    for _ in range(12):
+    for _ in range(5):
         below, above = draw.uniform(0.05, 1.0, 2)
         height, speed = draw.uniform(0.5, 2.0), draw.uniform(0.1, 3.0)
         gravity = draw.choice([0.0, 1.0, 9.81])

@@ -32,7 +32,7 @@ SHORT_FLIGHT, SHORT_SEEN_FLIGHT = 1e-6, 1e-9
 
 #: Between the two, so are those that are no longer than so many times the shortest of which the
 #: time resolves the speed.
-RESOLVED = 4.0
+SPEED_RESOLVED = 4.0
 
 #: Least length of a window, in spacings of the time.
 WINDOW_SPACINGS = 64.0
@@ -260,7 +260,7 @@ class Carried:
         shows = jump is not None and any(jump.before[e] != jump.after[e] for e in seen)
         arcs, jumps = [part.arc(0)], dict[int, JumpRow]()
         short = SHORT_FLIGHT * arcs[0].length
-        resolved = min(RESOLVED * ulp(part.t1) / USABLE, short)
+        resolved = min(SPEED_RESOLVED * ulp(part.t1) / USABLE, short)
         least = max(SHORT_SEEN_FLIGHT * arcs[0].length, resolved) if shows else short
         while len(arcs) < part.tail.count and arcs[-1].length > least:
             jumps[len(arcs) - 1] = part.jump(len(arcs))

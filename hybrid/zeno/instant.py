@@ -186,6 +186,8 @@ def shrinking(impacts: Cascade, instant: float) -> Shrinking | None:
             impacts.rest(closed)
             return Shrinking(closed, ratio or DECAYED ** (1.0 / count), impacts.changes)
         recurring = turns.recurring(found[0])
+        if turns.stands:
+            break
         if recurring is not None:
             struck, ratio, rest = recurring
             impacts.go_on(rest)
@@ -199,10 +201,13 @@ def shrinking(impacts: Cascade, instant: float) -> Shrinking | None:
 
 
 class Recurrence:
-    """Finds impacts that recur, by Brent's method: each mark holds twice as long as the last."""
+    """Finds impacts that recur, by Brent's method: each mark holds twice as long as the last.
+
+    ``stands``: they do so in no time, at speeds that do not fall, and for ever.
+    """
 
     def __init__(self, impacts: Cascade) -> None:
-        self._impacts, self._turn = impacts, 1
+        self._impacts, self._turn, self.stands = impacts, 1, False
         self._set_mark()
 
     def _set_mark(self) -> None:
@@ -228,7 +233,9 @@ class Recurrence:
         if not self._seen or following != self._seen[0]:
             return None
         struck = sorted(set(self._seen))
-        fall, rest = _recurs(self._mark, self._impacts.now(), struck)
+        now = self._impacts.now()
+        fall, rest = _recurs(self._mark, now, struck)
+        self.stands = now.elapsed == self._mark.elapsed and SPEEDS_FALL <= fall < np.inf
         if not (fall < SPEEDS_FALL and self._impacts.stay(struck, rest)):
             return None
         return struck, fall ** (_period(self._seen) / len(self._seen)), rest
