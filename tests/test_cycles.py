@@ -1073,3 +1073,60 @@ def test_a_ball_that_is_squeezed_ends_its_run_where_nothing_is_left_of_the_gap(s
         assert point.edges == ("ceiling", "floor")
         assert point.t == run.t1
         assert abs(point.t - height / speed) <= point.t_error <= 1e-8 * point.t  # SciPy's rtol
+
+
+class Together(hy.Automaton):
+    """A ball that bounces in turns in two gears, and two bodies that fly, one on the other."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    w = hy.state()
+    z = hy.state()
+    u = hy.state()
+    g = hy.parameter(np.ones(2))
+    r = hy.parameter(np.ones(2))
+
+    def gap(self, t, s):
+        return s.z - s.y
+
+    @hy.mode(initial=True)
+    def light(self, t, s):
+        return s.v, -self.g[0], s.w, -5.0, s.u, -5.0
+
+    @hy.mode
+    def heavy(self, t, s):
+        return s.v, -self.g[1], s.w, -5.0, s.u, -5.0
+
+    @hy.mode(limit_of=("first", "second"))
+    def rest(self, t, s):
+        return 0.0 * s.v, 0.0, s.w, -5.0, s.u, -5.0
+
+    in_light = hy.contact(light, gap=gap, restitution=0.5)
+    in_heavy = hy.contact(heavy, gap=gap, restitution=0.5)
+    in_rest = hy.contact(rest, gap=gap, restitution=0.5)
+
+    @hy.edge(light, to=heavy, guard=lambda self, t, s: s.x)
+    def first(self, t, s):
+        return s.replace(v=-self.r[0] * s.v)
+
+    @hy.edge(heavy, to=light, guard=lambda self, t, s: s.x)
+    def second(self, t, s):
+        return s.replace(v=-self.r[1] * s.v)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_bodies_that_fly_together_do_so_through_the_limit_of_a_cycle(solver):
+    """They bear nothing, for good: that their load is zero at the limit is no event there."""
+    draw = np.random.default_rng(5)
+    for _ in range(3):
+        g, r, x = draw.uniform(0.5, 10.0, 2), draw.uniform(0.1, 0.85, 2), draw.uniform(0.1, 1.0)
+        limit, w = geared_limit(g, r, x), draw.uniform(1.0, 5.0)
+        start, t = {"x": x, "v": 0.0, "y": 0.2, "w": w, "z": 0.2, "u": w}, limit + 0.1
+        model = Together(g=g, r=r)
+        run = hy.simulate(model, start, (0.0, t), mode="light.rest(in_light)", solver=solver)
+        (point,) = run.zeno
+        assert abs(point.t - limit) <= point.t_error <= 1e-9
+        assert run.mode == "rest.rest(in_rest)"
+        assert run.final.y == run.final.z
+        assert run.final.y == pytest.approx(0.2 + w * t - 2.5 * t * t, abs=1e-12)

@@ -6,7 +6,7 @@ is decided here. Numbers in brackets are the rules of ``docs/semantics.md``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import attrs
@@ -589,11 +589,12 @@ class Driver:
         """The held contacts that a jump has left closed: their gap and gap speed are zero."""
         if mode != self.entry.field.mode:
             return ()
-        return tuple(g.edge for g in self._zero(mode, x) if g.edge in self.entry.field.held)
+        held = self.entry.field.held
+        return tuple(g.edge for g, _ in self._zero(mode, x) if g.edge in held)
 
     def carrier(self, mode: str, x: StateVector) -> Field:
         """The field of the contacts, or of the surface, on which a jump has left the state, that
-        was held there before it; they may be of another mode, whose forces push them together."""
+        was held there before it; they may be of another mode, whose forces do not part them."""
         slid, there = self.entry.field, x.tolist()
         switching = self.scene.spec.sliding(slid.mode)
         if switching is not None and mode in (switching.positive, switching.negative):
@@ -602,24 +603,20 @@ class Driver:
         if mode == slid.mode:
             held = self.still_held(mode, x)
         else:
-            zero = self._zero(mode, x)
-            held = tuple(g.edge for g in zero if g.lie(self.t, there)[2] < 0.0)
+            zero = ((g, g.lie(self.t, there)[2], size) for g, size in self._zero(mode, x))
+            held = tuple(g.edge for g, force, size in zero if force <= CLOSED * size)
         return self.scene.field(self.scene.name(mode, held))
 
-    def _zero(self, mode: str, x: StateVector) -> list[Guard]:
+    def _zero(self, mode: str, x: StateVector) -> Iterator[tuple[Guard, float]]:
         """The gaps of a mode that are zero behind a jump, as are their speeds, if any contacts were
-        held before it."""
-        field, found = self.scene.field(mode), []
+        held before it; and the sizes of their accelerations."""
+        field = self.scene.field(mode)
         for guard in field.guards if self.entry.field.held else ():
             gap, speed, _ = guard.lie(self.t, x.tolist())
-            high, fast, _ = extent(self.scene, guard, field, self.t, x, self.seen)
-            if (
-                guard.kind == "contact"
-                and abs(gap) <= CLOSED * high
-                and abs(speed) <= CLOSED * fast
-            ):
-                found.append(guard)
-        return found
+            high, fast, size = extent(self.scene, guard, field, self.t, x, self.seen)
+            closed = abs(gap) <= CLOSED * high and abs(speed) <= CLOSED * fast
+            if guard.kind == "contact" and closed:
+                yield guard, size
 
     def closed(self, mode: str, held: tuple[str, ...], x: StateVector) -> StateVector:
         """The state projected onto the held contacts, with gaps and gap speeds exactly zero."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..lowering import Field, Guard, Kink, Scene
 from ..rules.flown import BRIEF_FLIGHT
+from ..rules.guards import GUARD_ROUNDING
 from ..rules.lanes import STILL_JUMPS
 from ..rules.sights import BOX_MARGIN
 from ..rules.zeros import EPS
@@ -62,7 +63,9 @@ def persists(scene: Scene, turn: Turn, t: float, found: CycleLimit, rtol: float)
         fired = next((guard for guard in field.guards if guard.edge == jump.edge), None)
         if fired is None or not _steady(field, turn.seen[k], t, x):
             return False
-        if not (_alone(field, turn, k, t, found.edges) and _keeps_formula(field, turn, k, t)):
+        if not (
+            _alone(scene, field, turn, k, t, found.edges) and _keeps_formula(field, turn, k, t)
+        ):
             return False
         if not _keeps_law(scene, field, fired, turn, k, t, found.t_error):
             return False
@@ -136,15 +139,19 @@ def _settles(laws: Matrix, off: Matrix) -> bool:
     return bool(np.all(changes[1:] <= LATE_CHANGE * so_far + off[2:]))
 
 
-def _alone(field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...]) -> bool:
+def _alone(
+    scene: Scene, field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...]
+) -> bool:
     """Whether no guard outside the cycle is zero from the last flight before a jump to the limit,
     where its own are. Jumps land on those, whatever the tolerances: they are zero as far as the
     limit is known."""
     now, jump, x, others = turn.seen[k], turn.seen[k + 1], turn.limits[k], []
-    known = turn.known(k)
+    known, points = turn.known(k), [(t, x), (now.t, now.x)]
     for column, guard in enumerate(field.guards):
+        if _bears_nothing(scene, field, guard, points):
+            continue
         here, before = guard.value(t, x.tolist()), guard.value(now.t, now.x.tolist())
-        own = guard.edge in cycle or _follows(field, guard, cycle, [(t, x), (now.t, now.x)])
+        own = guard.edge in cycle or _follows(field, guard, cycle, points)
         ours = own and abs(here) <= _allowed(guard, t, x, known, turn.first)
         if not ours and (guard.edge == jump.edge or here * before <= 0):
             return False
@@ -152,6 +159,18 @@ def _alone(field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...]) -
             others.append(column)
     way = _way(field, now, now.until(jump), t, x)
     return not others or t <= now.t or excluded(field, others, hull(way, BOX_MARGIN))
+
+
+def _bears_nothing(
+    scene: Scene, field: Field, guard: Guard, points: list[tuple[float, StateVector]]
+) -> bool:
+    """Whether a guard is the load of a held contact that bears nothing, for good: bodies that fall
+    together."""
+    if guard.kind != "release":
+        return False
+    sizes = scene.rounding(guard, field)
+    pairs = (zip(guard.lie(t, x.tolist()), sizes(t, x.tolist()), strict=True) for t, x in points)
+    return all(abs(own) <= GUARD_ROUNDING * EPS * size for pair in pairs for own, size in pair)
 
 
 def _follows(
