@@ -13,6 +13,7 @@ import hybrid as hy
 from hybrid.lowering.scene import scene_of
 from hybrid.run import cycles
 from hybrid.zeno.cycle import accelerated, limit, period
+from hybrid.zeno.instant import Cascade, shrinking
 from models.two_tanks import TwoTanks
 
 from . import systems
@@ -1073,6 +1074,17 @@ def test_a_ball_that_is_squeezed_ends_its_run_where_nothing_is_left_of_the_gap(s
         assert point.edges == ("ceiling", "floor")
         assert point.t == run.t1
         assert abs(point.t - height / speed) <= point.t_error <= 1e-8 * point.t  # SciPy's rtol
+
+
+@pytest.mark.parametrize("loss", [1e-3, 1e-7])
+def test_impacts_at_one_instant_that_lose_little_are_no_standstill(loss):
+    """A body between two walls that touch it: each impact leaves ``1 - loss`` of the speed, which
+    many turns show and one does not. Without loss they go on for ever, and nothing is at rest."""
+    gain = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    found = shrinking(Cascade(gain, [1.0 - loss] * 2, [0.0, 0.0], [-1.0, 1.0]), 1.0)
+    assert sorted(found.struck) == [0, 1]
+    assert found.ratio == pytest.approx((1.0 - loss) ** 2, rel=1e-9)
+    assert shrinking(Cascade(gain, [1.0, 1.0], [0.0, 0.0], [-1.0, 1.0]), 1.0) is None
 
 
 class Together(hy.Automaton):

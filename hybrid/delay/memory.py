@@ -312,9 +312,10 @@ class Memory:
         self.pieces.add(piece_of(last_piece, since, 0.0))
         self._break(part.t1, np.ones(len(tail.x_inf), dtype=int), mode, row)
 
-    def limit(self, t: float, x_inf: StateVector, means: Mapping[int, float]) -> None:
+    def limit(self, since: float, t: float, x_inf: StateVector, means: Mapping[int, float]) -> None:
         """Record the limit of a cycle, to which the last piece leads: of elements that resets move
-        all along that piece shows their means, and they jump at both its ends."""
+        all along that piece shows their means, and they jump at both its ends. There is none if
+        rounding hides the time from the last jump on, ``since``."""
         if self.told:
             return
         if self.plan.memory == "restart":
@@ -322,11 +323,11 @@ class Memory:
             return
         last, orders = self.pieces.last, np.ones(len(x_inf), dtype=int)
         orders[[*means]] = 0
-        self.breaks.add(last.start, orders)
+        self.breaks.add(since, orders)
         self.breaks.add(t, orders)
-        assert last.rows is not None
-        last.rows[:, [*means]] = 0.0
-        last.rows[0, [*means]] = [*means.values()]
+        if last.rows is not None and last.start >= since:
+            last.rows[:, [*means]] = 0.0
+            last.rows[0, [*means]] = [*means.values()]
 
     def _break(self, t: float, orders: Integers, mode: str, changes: Mask) -> None:
         """Record the breaking point of a jump, if lags see it: of order 0 in what it changes.

@@ -232,16 +232,15 @@ def pass_cycle(
     ``means`` of the elements that resets move all along. ``late``: by how much the limit may come
     later, as far as rounding hides it; ``moved``: how far from it the run goes on.
     """
-    record, field = driver.record, driver.carrier(mode, x)
+    record, field, since = driver.record, driver.carrier(mode, x), driver.t
     segments = [straight(0.0, found.remaining, x, found.x_inf)] if found.remaining else []
     sides = _sides(driver, field, x)
     on_held = record.arc(field, x, found.x_inf, found.remaining, segments)
     moved = field.along(driver.t, on_held + moved) - on_held
-    found, held = attrs.evolve(found, x_inf=on_held), driver.still_held(mode, x)
+    found = attrs.evolve(found, x_inf=on_held)
     if record.memory is not None and segments:
-        record.memory.limit(driver.t, found.x_inf, means or {})
-    if not found.remaining:  # impacts at one instant may have opened others
-        held = driver.still_held(mode, found.x_inf)
+        record.memory.limit(since, driver.t, found.x_inf, means or {})
+    held = driver.still_held(mode, on_held)  # impacts at one instant may have opened some
     after = after_cycle(driver, found.edges, held)
     if shut(driver, after, found.x_inf):
         after = None

@@ -19,6 +19,8 @@ from typing import NamedTuple
 import attrs
 import numpy as np
 
+from ..rules.zeros import EPS
+
 #: Most impacts made to detect a recurrence; they take some tenths of a second.
 MOST_IMPACTS = 1 << 14
 
@@ -26,6 +28,10 @@ MOST_IMPACTS = 1 << 14
 #: product of a few hundred factors at most, and components in other directions decay from turn to
 #: turn.
 SPEEDS_ALIKE, SPEEDS_FALL = 1e-10, 1.0 - 1e-6
+
+#: Speeds are the same within this share of the largest, and those of the contacts struck, which may
+#: be tiny, of their own: the rounding of the impacts of a turn.
+SPEEDS_SAME = 64.0 * EPS
 
 #: Speeds have decayed to nothing at this share of the first: so late that a slow approach to a
 #: recurrence is found before, and still far from where numbers end.
@@ -203,7 +209,7 @@ def shrinking(impacts: Cascade, instant: float) -> Shrinking | None:
 class Recurrence:
     """Finds impacts that recur, by Brent's method: each mark holds twice as long as the last.
 
-    ``stands``: they do so in no time, at speeds that do not fall, and for ever.
+    ``stands``: they do so in no time, and all speeds are what they were, but for rounding.
     """
 
     def __init__(self, impacts: Cascade) -> None:
@@ -235,7 +241,7 @@ class Recurrence:
         struck = sorted(set(self._seen))
         now = self._impacts.now()
         fall, rest = _recurs(self._mark, now, struck)
-        self.stands = now.elapsed == self._mark.elapsed and SPEEDS_FALL <= fall < np.inf
+        self.stands = abs(fall - 1.0) <= SPEEDS_SAME and _same(self._mark, now)
         if not (fall < SPEEDS_FALL and self._impacts.stay(struck, rest)):
             return None
         return struck, fall ** (_period(self._seen) / len(self._seen)), rest
@@ -274,6 +280,14 @@ class Groups:
             return group
         self._tried = group, j
         return ()
+
+
+def _same(before: Motion, now: Motion) -> bool:
+    """Whether no time has passed, and no speed is another, but for rounding. (Speeds that fall by
+    ever so little do so over twice as many impacts as clearly.)"""
+    least = SPEEDS_SAME * max(map(abs, before.speeds))
+    pairs = zip(before.speeds, now.speeds, strict=True)
+    return now.elapsed == before.elapsed and all(abs(a - b) <= least for a, b in pairs)
 
 
 def _recurs(before: Motion, now: Motion, struck: list[int]) -> tuple[float, float]:
