@@ -104,3 +104,60 @@ def test_no_impact_is_listed_behind_the_limit():
         assert all(arc.t0 <= arc.t1 for arc in run.arcs)
         limit = run.zeno[0].t
         assert not np.any((limit < run.jumps.t) & (run.jumps.t < limit + 1e-12))
+
+
+def switched(crossing):
+    """A body that two edges throw back in turn, as its weight changes, beside a ball."""
+
+    class Switched(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+        y = hy.state()
+        w = hy.state()
+        r: float = hy.parameter(0.6)
+
+        @hy.mode(initial=True)
+        def light(self, t, s):
+            return s.v, -6.0, s.w, -4.0
+
+        @hy.mode
+        def heavy(self, t, s):
+            return s.v, -9.0, s.w, -4.0
+
+        @hy.mode(limit_of=("up", "down"))
+        def rest(self, t, s):
+            return 0.0 * s.v, 0.0, s.w, -4.0
+
+        one = hy.contact(light, gap=lambda self, t, s: s.y, restitution=0.5)
+        two = hy.contact(heavy, gap=lambda self, t, s: s.y, restitution=0.5)
+        three = hy.contact(rest, gap=lambda self, t, s: s.y, restitution=0.5)
+
+        @hy.edge(light, to=heavy, guard=lambda self, t, s: s.x, crossing=crossing)
+        def up(self, t, s):
+            return s.replace(v=-self.r * s.v)
+
+        @hy.edge(heavy, to=light, guard=lambda self, t, s: s.x, crossing=crossing)
+        def down(self, t, s):
+            return s.replace(v=-0.3 * s.v)
+
+    return Switched
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+@pytest.mark.parametrize("crossing", [hy.FALLING, hy.EITHER])
+def test_low_flights_between_edges_end_at_their_own_time(crossing, solver):
+    """The flights of the body are lower than the rounding of the largest states seen when the ball
+    strikes: its guards are not zero there."""
+    for later in (1e-6, 1e-7, 1e-8, -1e-8, 3e-9):
+        for r, x in np.random.default_rng(3).uniform([0.3, 0.1], [0.9, 1.0], (4, 2)).tolist():
+            u, ratio = np.sqrt(12.0 * x), 0.3 * r
+            limit = u / 6.0 + (2.0 * r * u / 9.0 + 2.0 * ratio * u / 6.0) / (1.0 - ratio)
+            y = 2.0 * (limit * (1.0 + later) / 3.0) ** 2
+            start = {"x": x, "v": 0.0, "y": y, "w": 0.0}
+            run = hy.simulate(switched(crossing)(r=r), start, (0.0, limit + 0.1), solver=solver)
+            (own,) = (point for point in run.zeno if "up" in point.edges)
+            (ball,) = (point for point in run.zeno if "up" not in point.edges)
+            assert abs(own.t - limit) <= own.t_error + 1e-15  # the limit is rounded to that
+            assert abs(ball.t - limit * (1.0 + later)) <= ball.t_error + 1e-15
+            assert own.t_error < 1e-8  # the order of impacts may not be known to the last
+            assert ball.t_error < 1e-8

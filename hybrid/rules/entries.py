@@ -9,7 +9,7 @@ import math
 
 from .arrays import AutomatonArrays, Floats, Matrix, Now, Room
 from .contacts import joined
-from .guards import GUARD_ROUNDING, NEAR, TIE, at_largest, holds, row_of, sizes_of, so_far
+from .guards import GUARD_ROUNDING, NEAR, TIE, at_largest, holds, moving, row_of, sizes_of, so_far
 from .hops import drowns
 from .lengths import step_length
 from .places import (
@@ -126,11 +126,13 @@ def start_of(
             high, fast, _ = sizes_of(a, room, guard, t, now.seen)
             high = max(size, high) if high < math.inf else size
             fast = max(rate, fast) if fast < math.inf else rate
-        elif kind != RELEASE and least == 0:
-            high = at_largest(a, now, room, guard, t, size)
         out = crossing if side == 0 else 1 if c[1] > 0.0 else -1
         thrown = used or (kind == EDGE and shares(a, now, room, c))
         out = out if kind in (EDGE, SWITCH) and not thrown else 0
+        waits = 0 if out == 0 else -crossing if crossing != 0 else side
+        moves = waits != 0 and moving(a, now, room, guard, t, now.x, c[0], c[1], waits)
+        if kind not in (CONTACT, RELEASE) and least == 0 and not moves:
+            high = at_largest(a, now, room, guard, t, size)
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least, out)
         off = used and kind == EDGE and least == 0 and set_off(c[0], crossing, size, high)
         if off and order > 0:

@@ -47,7 +47,7 @@ from .places import (
 from .polynomials import power_size, power_value
 from .zeros import EPS, NEVER, outweighs, series, soon
 
-__all__ = ("first_event",)
+__all__ = ("first_event", "moves_off")
 
 #: A guard nearer to zero than this share of the state is looked at more closely.
 NEAR = 1e-6
@@ -397,6 +397,33 @@ def at_largest(
     for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
         high = max(high, now.seen[a.uses[k]])
     return min(high, max(size, sizes_of(a, room, guard, t, now.seen)[0]))
+
+
+def moving(
+    a: AutomatonArrays,
+    now: Now,
+    room: Room,
+    guard: int,
+    t: float,
+    x: Floats,
+    value: float,
+    rate: float,
+    waits: int,
+) -> bool:
+    """Whether the guard of an edge :func:`moves_off` zero at a state."""
+    _, fast, _ = sizes_of(a, room, guard, t, x)
+    _, fastest, _ = sizes_of(a, room, guard, t, now.seen)
+    return moves_off(value, rate, waits, max(fast, fastest))
+
+
+def moves_off(value: float, rate: float, waits: int, fast: float) -> bool:
+    """Whether the guard of an edge is on the side on which it ``waits``, and clearly moves: it
+    comes to zero in its own time, or has left it. How large the states have been before does not
+    count then: a series of flights may be lower than that is rounded.
+
+    ``fast``: the sum of the terms of the rate, the larger of here and at the largest states seen.
+    """
+    return value * waits > 0.0 and abs(rate) > GUARD_ROUNDING * EPS * fast
 
 
 def so_far(now: Now, x: Floats) -> float:

@@ -17,6 +17,7 @@ from .guards import (
     TIED_IN_STEP,
     at_largest,
     holds,
+    moving,
     row_of,
     sizes_of,
     so_far,
@@ -129,8 +130,10 @@ def note_sides(a: AutomatonArrays, now: Now, room: Room, t: float) -> None:
             noise = hidden_at(a, now, room, g, t, rate)
             stays = now.orders[g - first] == 1 and abs(rate) * way <= 2.0 * noise
             side = 1 if rate > 0.0 else -1  # it was zero when the arc began, and has left since
+            before = now.signs[g - first]
             if abs(value) <= noise:
-                side = side if stays else now.signs[g - first]
+                off = moving(a, now, room, g, t, now.end, value, rate, before)
+                side = side if stays and not off else before
                 now.touched[a.guards[g, OWN]] = side * now.ints[FLIGHTS]
 
 

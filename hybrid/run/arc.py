@@ -43,6 +43,7 @@ from .entry import (
     describe,
     expand,
     heading,
+    moves_off,
     opened,
     side_before,
     zero_within,
@@ -319,13 +320,14 @@ class ArcFlow:
         for index, guard in enumerate(self.field.guards):
             if guard.kind in ("edge", "switch") and guard.edge not in self.tied:
                 value, rate, bend = guard.lie(t, x)
-                off = zero_within(self.scene, guard, self.field, t, stepper.x, self.losses.seen)
-                noise = max(off, self._rounding(index, t, x))
+                about = self.scene, guard, self.field, t, stepper.x, self.losses.seen
+                noise = max(zero_within(*about), self._rounding(index, t, x))
                 if abs(value) <= noise:
                     inside = -DIRECTIONS[guard.crossing] if guard.bounds else 0
+                    waits = self._inside(index) if self.signs else 0
                     stays = self.entered[index] == 1 and abs(rate) * stepper.tau <= 2.0 * noise
                     side = int(np.sign(rate)) if stays else side_before(rate, bend, noise)
-                    found[guard.edge] = inside or side
+                    found[guard.edge] = inside or (waits if moves_off(*about, waits) else side)
         return found
 
     def _since(self, index: int, before: int, t: float, x: list[float]) -> float:

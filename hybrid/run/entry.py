@@ -272,6 +272,22 @@ def zero_within(
     return GUARD_ROUNDING * EPS * (here + far) + TIE * EPS * abs(t) * abs(rate)
 
 
+def moves_off(
+    scene: Scene,
+    guard: Guard,
+    field: Field,
+    t: float,
+    x: StateVector,
+    seen: StateVector,
+    waits: int,
+) -> bool:
+    """Whether the guard of an edge comes to zero in its own time, or has left it
+    (:func:`hybrid.rules.guards.moves_off`)."""
+    value, rate, _ = guard.lie(t, x.tolist())
+    fast = extent(scene, guard, field, t, x, seen)[1]
+    return bool(unit("guards").moves_off(value, rate, waits, fast))
+
+
 def heading(
     scene: Scene, t: float, mode: str, x: StateVector, edge: str, seen: StateVector
 ) -> tuple[int, int]:
@@ -583,7 +599,9 @@ class _Here:
         far = not known and unit("entries").far(value, max(self.reach, float(np.abs(x).max())))
         if far or value * passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
-        return self.decide(guard, index, least, self.outwards(guard, index, jumped))
+        out = self.outwards(guard, index, jumped)
+        waits = (-DIRECTIONS[guard.crossing] or jumped.before(guard.edge, 1)) if out else 0
+        return self.decide(guard, index, least, out, waits)
 
     def shares(self, index: int, used: str | None) -> bool:
         """Whether a guard is that of the edge just used
@@ -609,7 +627,11 @@ class _Here:
         """Time and state just beyond the kinks of a guard."""
         return beyond_kinks(self.field, guard.kinks, self.t, self.x)
 
-    def decide(self, guard: Guard, index: int, least: int, out: int = 0) -> tuple[int, int]:
+    def decide(
+        self, guard: Guard, index: int, least: int, out: int = 0, waits: int = 0
+    ) -> tuple[int, int]:
+        """The power of the time by which a guard vanishes, and the sign that it takes
+        (:func:`hybrid.rules.entries.start`); ``waits``: the sign with which it waits, 0 if none."""
         t, state = self.beyond(guard)
         x, high, fast = state.tolist(), 0.0, float("inf")
         value, rate, bend = guard.lie(t, x)
@@ -621,7 +643,8 @@ class _Here:
         if guard.kind == "contact":
             high, fast, _ = extent(self.scene, guard, self.field, self.t, self.x, self.seen)
         elif guard.kind != "release":
-            high = self.highest(guard)
+            about = self.scene, guard, self.field, self.t, self.x, self.seen
+            high = 0.0 if moves_off(*about, waits) else self.highest(guard)
         sizes = self.scene.rounding(guard, self.field)(t, x)
         given = np.array(c), states, len(states), value, rate, t, *sizes, high, fast, least, out
         order, sign = unit("entries").start(*given)
