@@ -411,19 +411,22 @@ def moving(
     waits: int,
 ) -> bool:
     """Whether the guard of an edge :func:`moves_off` zero at a state."""
-    _, fast, _ = sizes_of(a, room, guard, t, x)
+    size, fast, _ = sizes_of(a, room, guard, t, x)
     _, fastest, _ = sizes_of(a, room, guard, t, now.seen)
-    return moves_off(value, rate, waits, max(fast, fastest))
+    return moves_off(t, value, rate, waits, size, max(fast, fastest))
 
 
-def moves_off(value: float, rate: float, waits: int, fast: float) -> bool:
-    """Whether the guard of an edge is on the side on which it ``waits``, and clearly moves: it
-    comes to zero in its own time, or has left it. How large the states have been before does not
-    count then: a series of flights may be lower than that is rounded.
+def moves_off(t: float, value: float, rate: float, waits: int, size: float, fast: float) -> bool:
+    """Whether the guard of an edge is on the side on which it ``waits``, by more than the rounding
+    of what it is made of, and clearly moves: it comes to zero in its own time, or has left it. How
+    large the states have been before does not count then: a series of flights may be lower than
+    that is rounded.
 
-    ``fast``: the sum of the terms of the rate, the larger of here and at the largest states seen.
+    ``size``: the sum of its terms; ``fast``: that of its rate, the larger of here and at the
+    largest states seen.
     """
-    return value * waits > 0.0 and abs(rate) > GUARD_ROUNDING * EPS * fast
+    noise = GUARD_ROUNDING * EPS * size + TIE * EPS * abs(t) * abs(rate)
+    return value * waits > noise and abs(rate) > GUARD_ROUNDING * EPS * fast
 
 
 def so_far(now: Now, x: Floats) -> float:

@@ -284,8 +284,9 @@ def moves_off(
     """Whether the guard of an edge comes to zero in its own time, or has left it
     (:func:`hybrid.rules.guards.moves_off`)."""
     value, rate, _ = guard.lie(t, x.tolist())
+    size = scene.rounding(guard, field)(t, x.tolist())[0]
     fast = extent(scene, guard, field, t, x, seen)[1]
-    return bool(unit("guards").moves_off(value, rate, waits, fast))
+    return bool(unit("guards").moves_off(t, value, rate, waits, size, fast))
 
 
 def heading(
