@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from functools import cached_property
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
@@ -24,7 +24,7 @@ from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Numbers, StateVector
+    from ..automaton.shapes import Matrix, Numbers, StateVector
     from .driver import Driver
 
 #: What there is to do about a start, or a jump, outside a domain: of a contact or not, starting.
@@ -357,22 +357,67 @@ def _off_zero(
     return value, rate, (share * high + late * (terms[1] + late * terms[2]), slower)
 
 
+class Departure(NamedTuple):
+    """The way from where deciding functions are zero to where none is: how long it takes, the state
+    there, and the way as powers of the share of that time, a row for each element of the state."""
+
+    ahead: float
+    x: StateVector
+    powers: Matrix
+
+
+def departure(
+    field: Field, kinks: Sequence[Kink], t: float, x: StateVector, longest: float = 0.0
+) -> Departure | None:
+    """The way along the flow to the first state at which no deciding function is zero; None where
+    none is zero, or none leaves zero within the ``longest`` time, or 2^27 roundings if that is
+    more.
+
+    At a kink a function has two formulas; the one on the side to which the flow goes counts, as the
+    Taylor series of the flow tell. A deciding function that stays zero decides nothing.
+    """
+    left = [kink for kink in kinks if kink.value(t, x.tolist()) == 0.0]
+    if not left:
+        return None
+    c, holds = _way(field, t, x)
+    step, orders, found = _first_step(t, x, c[:, 1]), np.arange(c.shape[1]), None
+    longest = min(holds, max(longest, 2.0**MOVES * step))
+    while left and step <= longest:
+        powers = c * step**orders
+        there = x + powers[:, 1:].sum(axis=1)
+        still = [kink for kink in left if kink.value(t + step, there.tolist()) == 0.0]
+        if len(still) < len(left):
+            found, left = Departure(step, there, powers), still
+        step *= 2.0
+    return found
+
+
+def _way(field: Field, t: float, x: StateVector) -> tuple[Matrix, float]:
+    """The coefficients of the flow's series at a state, and for how long they hold: half as long as
+    their last terms are rounding. Where there is no series, a parabola for 2^27 roundings."""
+    series = expand(field, t, x)
+    if series is not None and np.isfinite(c := np.array(series[0])).all():
+        return c, 0.5 * unit("lengths").step_length(c, len(x))
+    flow = np.array(field.rhs(t, x.tolist()))
+    half = _first_step(t, x, flow) or EPS
+    later = np.array(field.rhs(t + half, (x + half * flow).tolist()))
+    return np.array([x, flow, 0.5 * (later - flow) / half]).T, half * 2.0**MOVES
+
+
+def _first_step(t: float, x: StateVector, flow: Numbers) -> float:
+    """The time in which the time, or an element of the state, changes by a rounding."""
+    moves = (x != 0.0) & (flow != 0.0)
+    times = np.abs(x[moves] / flow[moves])
+    return max(float(np.spacing(abs(t))), EPS * float(times.min()) if times.size else 0.0)
+
+
 def beyond_kinks(
     field: Field, kinks: Sequence[Kink], t: float, x: StateVector
 ) -> tuple[float, np.ndarray]:
-    """The first time and state along a flow at which no deciding function is zero.
-
-    At a kink a function has two formulas; the one on the side to which the flow goes counts. A
-    deciding function that stays zero decides nothing.
-    """
-    there, least = (t, x), 0.0
-    for kink in kinks:
-        zero = lambda t, x, kink=kink: kink.value(t, x) == 0.0  # noqa: E731
-        if zero(t, x.tolist()):
-            step = _leaves(field, zero, kink.uses, t, x, least)
-            if step:
-                there, least = _along(field, t, x, step), step
-    return there
+    """The first time and state along a flow at which no deciding function is zero
+    (:func:`departure`), if that is a short time later."""
+    way = departure(field, kinks, t, x)
+    return (t, x) if way is None else (t + way.ahead, way.x)
 
 
 def before_impact(
@@ -386,33 +431,15 @@ def before_impact(
         near = abs(guard.value(t, x)) <= noise
         return near or any(kink.value(t, x) == 0.0 for kink in guard.kinks)
 
-    return _along(field, t, x, -_leaves(field, zero, guard.uses, t, x, 0.0, -1.0))
-
-
-def _along(field: Field, t: float, x: StateVector, step: float) -> tuple[float, np.ndarray]:
-    return t + step, x + step * np.array(field.rhs(t, x.tolist()))
-
-
-def _leaves(
-    field: Field,
-    zero: Callable[[float, list[float]], bool],
-    uses: Sequence[int],
-    t: float,
-    x: StateVector,
-    least: float,
-    way: float = 1.0,
-) -> float:
-    """The first of a sequence of doubled steps, from ``least`` on, at which a function is no longer
-    zero; 0 if it stays zero."""
-    flow = field.rhs(t, x.tolist())
-    times = [abs(float(x[i]) / flow[i]) for i in uses if flow[i]]
-    step = max(float(np.spacing(abs(t))), least, EPS * min(times, default=0.0))
+    flow = np.array(field.rhs(t, x.tolist()))
+    times = [abs(float(x[i]) / flow[i]) for i in guard.uses if flow[i]]
+    step = max(float(np.spacing(abs(t))), EPS * min(times, default=0.0))
     for _ in range(MOVES):
-        beside = _along(field, t, x, way * step)
-        if not zero(beside[0], beside[1].tolist()):
-            return step
+        back, beside = t - step, x - step * flow
+        if not zero(back, beside.tolist()):
+            return back, beside
         step *= 2.0
-    return 0.0
+    return t, x
 
 
 def _require_on_surface(scene: Scene, field: Field, t: float, x: StateVector) -> None:

@@ -23,7 +23,7 @@ from ..rules.zeros import EPS
 from ..segment import Segment, of_powers
 from ..solvers import Solver, Stepper
 from ..solvers.base import LEADS_BACK
-from .entry import beyond_kinks
+from .entry import Departure, departure
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, StateVector
@@ -64,17 +64,20 @@ def begin(
 ) -> Stepper:
     """A stepper for an arc, whose steps end where the flow changes its formula.
 
-    An arc that starts at such a place starts beyond it. Deciding functions that are zero all along
-    what holds the state, as a surface on which it slides, show no such place: rounding decides on
-    their signs.
+    An arc that starts at such a place starts beyond it: by rounding of the time, or by a step of
+    its own (:func:`.entry.departure`). Deciding functions that are zero all along what holds the
+    state, as a surface on which it slides, show no such place: rounding decides on their signs.
     """
-    t, x = beyond_kinks(field, field.changes, t0, x0)
+    t, x, way = t0, x0, departure(field, field.changes, t0, x0, length)
+    if way is not None and way.ahead <= SPACINGS * EPS * max(abs(t0), length):
+        t, x = t0 + way.ahead, way.x
+        way = None
     changes = [kink for kink in field.changes if kink.change != "ends"]
     if changes and field.project is not None and not solver.cuts:
         changes = [kink for kink in changes if not is_held(kink, field, t, x, length)]
-    if solver.cuts or not changes:
+    if solver.cuts or (way is None and not changes):
         return solver.begin(field, t, x, length, first_step, sizes)
-    return KinkedStepper(solver, field, changes, (t, x, length, first_step, sizes))
+    return KinkedStepper(solver, field, changes, (t, x, length, first_step, sizes), way)
 
 
 def is_held(kink: Kink, field: Field, t: float, x: StateVector, length: float) -> bool:
@@ -122,11 +125,17 @@ class KinkedStepper(Stepper):
     _segment: Segment
 
     def __init__(
-        self, solver: Solver, field: Field, changes: list[Kink], start: tuple[Any, ...]
+        self,
+        solver: Solver,
+        field: Field,
+        changes: list[Kink],
+        start: tuple[Any, ...],
+        way: Departure | None = None,
     ) -> None:
         self.solver, self.field, self.changes = solver, field, changes
         self.t0, self.x, self.length, self.first, self.sizes = start
         self.tau, self.seen, self.passes = 0.0, 0.0, 0
+        self.way = way
         self.along = None if field.values is None else _Along(field.values)
         self._begin(self.length)
         self.repeats = self.inner.repeats
@@ -145,6 +154,9 @@ class KinkedStepper(Stepper):
         return {kink.edge: kink.value(t, state) for kink in self.changes}
 
     def step(self, limit: float) -> None:
+        if self.way is not None:
+            self._depart(self.way, limit)
+            return
         if self.passed or self.tau >= self.bound:
             self._begin(self.length)
         short = SHORT_OF
@@ -168,6 +180,13 @@ class KinkedStepper(Stepper):
             else:
                 self._pass(cut, ahead)
                 return
+
+    def _depart(self, way: Departure, limit: float) -> None:
+        """Go to where no deciding function is zero, as the first step."""
+        self._segment = of_powers(0.0, way.ahead, way.powers)
+        self.tau, self.x, self.passed, self.way = way.ahead, way.x, True, None
+        if limit < way.ahead:
+            self.land(limit)
 
     def segment(self) -> Segment:
         return self._segment
@@ -245,7 +264,7 @@ class KinkedStepper(Stepper):
         time: a step from the same place would meet the same kink. The parabola is that of the
         formula before the kink."""
         t, x = self.t0 + self.tau, self.x
-        more = float(np.spacing(abs(t) + ahead))
+        more = float(np.spacing(abs(self.t0) + self.tau + ahead))
         rate, bend = self._way(t, x, ahead, more)
         ahead = max(ahead, more)
         for _ in range(MOVES):
