@@ -41,6 +41,9 @@ STRAIGHT_BEYOND = 8.0
 #: Most kinks that are passed with no step between: more than there are in any flow.
 MOST_PASSES = 256
 
+#: What changes by so much of itself in a moment jumps there.
+HAS_JUMPED = 1e-6
+
 #: Times and states within so many roundings are not told apart.
 SPACINGS = 16
 
@@ -269,9 +272,10 @@ class KinkedStepper(Stepper):
         ahead = max(ahead, more)
         for _ in range(MOVES):
             there = x + ahead * (rate + ahead * bend)
-            if cut.kink.value(t + ahead, there.tolist()) * cut.side > 0:
-                break
             later = self._flow(t + ahead, there)
+            beyond = cut.kink.value(t + ahead, there.tolist()) * cut.side > 0
+            if beyond and self._has_changed(cut.kink, rate, later, t + ahead, there):
+                break
             bend = 0.5 * (later - rate) / ahead if np.isfinite(later).all() else bend
             ahead, more = ahead + more, 2.0 * more
         ahead = min(ahead, self.length - self.tau)
@@ -283,6 +287,18 @@ class KinkedStepper(Stepper):
         self.passed, self.passes = True, self.passes + 1
         if self.passes > MOST_PASSES:
             raise FlowError(f"{self.passes} changes of the flow with no step between: {LEADS_BACK}")
+
+    def _has_changed(
+        self, kink: Kink, before: StateVector, flow: StateVector, t: float, x: StateVector
+    ) -> bool:
+        """Whether a flow has, beyond a kink at which it jumps, the formula that it has a little
+        later: it may round its own deciding function elsewhere."""
+        if kink.change != "jumps":
+            return True
+        speck = self._speck(kink)
+        later = self._flow(t + speck, x + speck * flow)
+        jumps = np.abs(later - before) > HAS_JUMPED * np.maximum(np.abs(later), np.abs(before))
+        return bool(np.all(~jumps | (np.abs(later - flow) <= 0.5 * np.abs(later - before))))
 
     def _way(
         self, t: float, x: StateVector, ahead: float, more: float
