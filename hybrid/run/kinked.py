@@ -41,6 +41,9 @@ STRAIGHT_BEYOND = 8.0
 #: Most kinks that are passed with no step between: more than there are in any flow.
 MOST_PASSES = 256
 
+#: A deciding function of which a step leaves so much may be zero where it ends.
+HAS_COME = 1e-6
+
 #: What changes by so much of itself in a moment jumps there.
 HAS_JUMPED = 1e-6
 
@@ -164,12 +167,12 @@ class KinkedStepper(Stepper):
             self._begin(self.length)
         short = SHORT_OF
         while True:
-            before = self.tau, self.x
+            before, signs = (self.tau, self.x), dict(self.signs)
             self.inner.step(min(limit, self.bound) - self.offset)
             own = self.inner.segment()
             self._take(own, limit)
             self.first = own.length
-            cut = self._first_cut(own) or self._next_to(own)
+            cut = self._first_cut(own) or self._next_to(own) or self._at_end(own, signs)
             if cut is None:
                 self.passes = 0
                 return
@@ -245,6 +248,19 @@ class KinkedStepper(Stepper):
             here = kink.value(t, x.tolist())
             if here * kink.value(t + SPACINGS * speck, ahead.tolist()) < 0.0:
                 return Cut(kink, 1.0, 1.0, -int(np.sign(here)))
+        return None
+
+    def _at_end(self, own: Segment, before: dict[Any, float]) -> Cut | None:
+        """The jump of the flow at which a step ends, to rounding: the method may have evaluated the
+        flow there by either formula."""
+        t, x = self.t0 + self.tau, self.x
+        for kink in (kink for kink in self.changes if kink.change == "jumps"):
+            was = before[kink.edge]
+            if abs(kink.value(t, x.tolist())) <= HAS_COME * abs(was):
+                speck = self._speck(kink)
+                later = x + speck * self._flow(t, x)
+                if kink.value(t + speck, later.tolist()) * was < 0.0:
+                    return Cut(kink, 1.0, 1.0, -int(np.sign(was)))
         return None
 
     def _noise(self, kink: Kink, own: Segment) -> float:
