@@ -288,9 +288,10 @@ class KinkedStepper(Stepper):
         ahead = max(ahead, more)
         for _ in range(MOVES):
             there = x + ahead * (rate + ahead * bend)
-            later = self._flow(t + ahead, there)
-            beyond = cut.kink.value(t + ahead, there.tolist()) * cut.side > 0
-            if beyond and self._has_changed(cut.kink, rate, later, t + ahead, there):
+            now = self.t0 + (self.tau + ahead)  # as the method has it that starts there
+            later = self._flow(now, there)
+            beyond = cut.kink.value(now, there.tolist()) * cut.side > 0
+            if beyond and self._has_changed(cut.kink, rate, later, now, there):
                 break
             bend = 0.5 * (later - rate) / ahead if np.isfinite(later).all() else bend
             ahead, more = ahead + more, 2.0 * more
