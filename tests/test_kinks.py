@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import hybrid as hy
 from hybrid.run.driver import Driver
@@ -258,3 +259,129 @@ def test_an_empty_tank_stays_empty(outflow):
     # below' = 1 - t/2 - below/2 to t = 2, so below = 4 - t - 4 exp(-t/2); then it decays
     assert abs(run.final.h) < 1e-28
     assert abs(run.final.below - (2.0 - 4.0 * np.exp(-1.0)) * np.exp(-0.5)) < 1e-14
+
+
+class Beside(hy.Automaton):
+    """A body whose force has a corner at the speed 1, at which it is in balance for a moment."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return s.v, 0.1 + 0.2 - s.x + jnp.abs(s.v - 1.0)
+
+
+@pytest.mark.parametrize("way", SOLVERS)
+def test_the_time_in_which_a_flow_leaves_its_corner_counts(way):
+    """The speed 1 is kept to rounding (0.1 + 0.2 - 0.3) until the position has changed. Behind it
+    the force is 1.3 - x - v, so that x is 0.3 + u with u'' = 1 - u' - u and u(0) = 0, u'(0) = 1."""
+    run = hy.simulate(Beside(), {"x": 0.3, "v": 1.0}, (0.0, 3.0), **SOLVERS[way])
+    w, t = np.sqrt(0.75), np.array([1e-6, 0.5, 3.0])
+    exact = 1.3 - np.exp(-t / 2) * (np.cos(w * t) - 0.5 / w * np.sin(w * t))
+    np.testing.assert_allclose(run(t).x, exact, rtol=0.0, atol=1e-6)  # at the solvers' tolerances
+
+
+class Belt(hy.Automaton):
+    """A body on a belt, with friction that falls with the slip (Stribeck)."""
+
+    x = hy.state()
+    v = hy.state()
+    belt = hy.parameter(3.0)
+
+    def friction(self, slip):
+        return 0.1 * (0.4 + 0.6 * jnp.exp(-jnp.abs(slip) / 0.1)) + 0.1 * jnp.abs(slip)
+
+    @hy.mode(initial=True)
+    def slow(self, t, s):
+        return s.v, -s.x - 0.05 * s.v + self.friction(s.v - self.belt)
+
+    @hy.mode
+    def fast(self, t, s):
+        return s.v, -s.x - 0.05 * s.v - self.friction(s.v - self.belt)
+
+    stick = hy.switching(fast, slow, surface=lambda self, t, s: s.v - self.belt)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_a_body_leaves_the_belt_when_it_slips(solver):
+    """At the release of a stick, force and friction balance: the slip begins at rest, on the corner
+    of the friction."""
+    for belt, begin in ((3.0, 0.0), (0.7, 0.3), (6.67, 100.0)):
+        slips = 0.1 - 0.05 * belt  # the position at which it does
+        start, t1 = {"x": slips - 0.1, "v": belt}, begin + 0.1 / belt + 1.0
+        run = hy.simulate(Belt(belt=belt), start, (begin, t1), mode="slide(stick)", solver=solver)
+
+        def flow(t, y, belt=belt):
+            slip = abs(y[1] - belt)
+            rubs = 0.1 * (0.4 + 0.6 * np.exp(-slip / 0.1)) + 0.1 * slip
+            return [y[1], -y[0] - 0.05 * y[1] + rubs]
+
+        options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13, "first_step": 1e-4}
+        last = solve_ivp(flow, (0.0, 1.0), [slips, belt], **options).y[:, -1]
+        assert len(run.jumps) == 1
+        np.testing.assert_allclose([run.final.x, run.final.v], last, rtol=1e-6)
+
+
+class Timed(hy.Automaton):
+    """The integral of a step at the time 0."""
+
+    x = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return jnp.where(t > 0.0, 1.0, -1.0)
+
+
+@pytest.mark.parametrize("way", SOLVERS)
+def test_a_flow_that_jumps_at_the_time_zero_is_passed(way):
+    """Times are rounded there as those since the start of the arc are."""
+    run = hy.simulate(Timed(), {"x": 0.0}, (-1.0, 2.0), **SOLVERS[way])
+    assert run.final.x == pytest.approx(1.0, abs=1e-7)  # an implicit step is solved to 1e-8
+
+
+class Stairs(hy.Automaton):
+    """The integral of a floor."""
+
+    x = hy.state()
+    a = hy.parameter(1.0)
+
+    @hy.mode
+    def flow(self, t, s):
+        return jnp.floor(self.a * t)
+
+
+@pytest.mark.parametrize(("solver", "method"), [("scipy", "RK45"), ("diffrax", "Tsit5")])
+def test_behind_a_jump_of_a_flow_the_method_has_the_new_formula(solver, method):
+    """In its first stage, too, at a time that the flow rounds: its loose steps then lose nothing,
+    as they are of a constant."""
+    stairs = lambda u: np.floor(u) * (np.floor(u) - 1.0) / 2.0 + np.floor(u) * (u - np.floor(u))  # noqa: E731
+    for a, begin in np.random.default_rng(5).uniform([-8.0, 0.05], [-0.5, 3.0], (60, 2)).tolist():
+        run = hy.simulate(
+            Stairs(a=a), {"x": 0.0}, (begin, begin + 2.0), solver=solver, method=method, rtol=1e-4
+        )
+        exact = (stairs(a * run.t1) - stairs(a * begin)) / a
+        assert run.final.x == pytest.approx(exact, abs=1e-8)  # 1e-9 of a step is gone before a jump
+
+
+class Table(hy.Automaton):
+    """The integral of a table that falls from 1 to -1 at the place 0."""
+
+    x = hy.state()
+    y = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return 1.0, jnp.interp(s.x, jnp.array([-1.0, 0.0, 0.0, 1.0]), jnp.array([1.0, 1, -1, -1]))
+
+
+@pytest.mark.parametrize(("solver", "method"), [("scipy", "DOP853"), ("diffrax", "Dopri8")])
+def test_a_step_that_ends_at_a_jump_of_the_flow_is_of_one_formula(solver, method):
+    """All along, not only at its ends."""
+    times = np.linspace(0.0, 1.0, 41)
+    for scale in np.linspace(1.0, 10.0, 40):
+        start = {"x": -0.5, "y": 0.0}
+        run = hy.simulate(
+            Table(), start, (0.0, 1.0), solver=solver, method=method, first_step=0.05 * scale
+        )
+        np.testing.assert_allclose(run(times).y, np.minimum(times, 1.0 - times), atol=1e-9)
