@@ -17,6 +17,7 @@ from .run.comparison import give_errors
 from .run.onward import onward, require_end
 from .run.options import Asked, mode_of, start_of
 from .solvers import renamed
+from .trajectory import Status
 from .trajectory.stats import Stats, versions
 
 
@@ -165,6 +166,14 @@ def simulate(
     counts = driver.steps, driver.solver.rejected, driver.solver.evaluations
     run = _trajectory(model, scene, driver, options, earlier)
     run.stats = Stats(*counts, perf_counter() - begun)
+    return run
+
+
+def whole_run(*model_start_t: Any, **options: Any) -> Trajectory:
+    """:func:`simulate` for what needs the whole run: an interrupt goes on to the caller."""
+    run = simulate(*model_start_t, **options)
+    if run.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
     return run
 
 

@@ -385,3 +385,25 @@ def test_a_step_that_ends_at_a_jump_of_the_flow_is_of_one_formula(solver, method
             Table(), start, (0.0, 1.0), solver=solver, method=method, first_step=0.05 * scale
         )
         np.testing.assert_allclose(run(times).y, np.minimum(times, 1.0 - times), atol=1e-9)
+
+
+class Roots(hy.Automaton):
+    """A flow with a formula on each side of 1 that has no value on the other."""
+
+    x = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return 1.0 + jnp.where(s.x > 1.0, jnp.sqrt(s.x - 1.0), jnp.sqrt(1.0 - s.x))
+
+
+@pytest.mark.parametrize("method", ["Radau", "BDF", "LSODA"])
+def test_the_slope_of_a_branch_that_is_not_taken_does_not_count(method):
+    """It is not a number. With u = sqrt|1 - x| the time from u = 1 to 0, and from there to the end,
+    is 2 u - 2 log(1 + u)."""
+    run = hy.simulate(Roots(), {"x": 0.0}, (0.0, 2.0), method=method, rtol=1e-9)
+    for x, t in ((0.0, 0.0), (float(run.final.x), 2.0)):
+        u = np.sqrt(abs(1.0 - x))
+        spent = 2.0 * u - 2.0 * np.log(1.0 + u)
+        half = 2.0 - 2.0 * np.log(2.0)
+        assert (half - spent if x < 1.0 else half + spent) == pytest.approx(t, abs=1e-5)

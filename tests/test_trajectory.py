@@ -341,6 +341,30 @@ def _then(first, second):
     return both
 
 
+@pytest.mark.parametrize("analysis", ["orbit", "lyapunov", "map"])
+def test_an_interrupt_of_what_an_analysis_flies_goes_on_to_the_caller(analysis, monkeypatch):
+    """What the run has until then is no motion to go on with."""
+    model, start = systems.Oscillator(wall=-5.0), {"x": 1.0, "v": 0.0}
+    steps = itertools.count()
+
+    def stop(*_):
+        if next(steps) > 30:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(RungeKuttaStepper, "step", _then(RungeKuttaStepper.step, stop))
+    call = {
+        "orbit": lambda: hy.periodic_orbit(
+            model, start, period=2.0 * math.pi, settle=50, solver="scipy"
+        ),
+        "lyapunov": lambda: hy.lyapunov(model, start, (0.0, 300.0), solver="scipy"),
+        "map": lambda: hy.return_map(model, lambda self, t, s: s.x, solver="scipy").iterate(
+            start, 50
+        ),
+    }[analysis]
+    with pytest.raises(KeyboardInterrupt):
+        call()
+
+
 def test_explain_says_what_happened():
     """Contact, ratio, times, what came next."""
     run = hy.simulate(BeadOnTable(r=0.3, omega=4.0), {"x": 1.5, "v": 0.0}, (0, 3))

@@ -21,10 +21,9 @@ from ..errors import PLOT, HybridError, OptionError, need
 from ..plot.figure import Curve, Figure, Panel, column, looks_of_method
 from ..result import Trajectory
 from ..run.options import require_count
-from ..simulation import simulate
+from ..simulation import whole_run
 from ..solvers.base import FINEST
 from ..trajectory.stats import versions
-from ..trajectory.trajectory import Status
 from .differences import differences
 
 #: Default solvers and tolerances.
@@ -328,7 +327,7 @@ class _Tighter:
         fault: HybridError | None = None
         for name, choice in REFERENCES.items():
             try:
-                self.runs[name] = simulate(model, start, t, **{**options, **choice})
+                self.runs[name] = whole_run(model, start, t, **{**options, **choice})
             except HybridError as failed:
                 fault = failed
         if not self.runs:
@@ -370,7 +369,7 @@ class _Runner:
         self.calls, self.reason = 1, ""
 
     def _run(self) -> Trajectory:
-        return simulate(*self.arguments, **self.options)
+        return whole_run(*self.arguments, **self.options)
 
     def begin(self, judge: _Judge, first: bool) -> None:
         """Make the first call, measure error and memory, and choose the calls per timing."""
@@ -383,8 +382,6 @@ class _Runner:
             self.reason = str(fault)
             return
         taken = time.perf_counter() - begun
-        if run.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
         stats = run.stats
         self.found["error"] = judge.error(run, self.solver)
         self.found["first"] = taken if first else nan

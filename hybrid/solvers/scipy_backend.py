@@ -20,6 +20,7 @@ from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, OdeSolver, Radau
 
 from ..errors import FlowError, OptionError
 from ..lowering import Field
+from ..rules.zeros import EPS
 from ..segment import Segment, interpolated, nodes, of_powers
 from .base import FINEST, NO_FLOW_HERE, Solver, Stepper, method_of
 from .pairs import PairTables, lower
@@ -196,9 +197,22 @@ def _jacobian(field: Field, t0: float) -> Any:
         return None
 
     def jacobian(tau: float, x: np.ndarray) -> np.ndarray:
-        return np.array(slopes(t0 + tau, x.tolist())).reshape(len(x), len(x))
+        t = t0 + tau
+        matrix = np.array(slopes(t, x.tolist())).reshape(len(x), len(x))
+        for column in np.flatnonzero(~np.isfinite(matrix).all(axis=0)):
+            matrix[:, column] = _difference(field, t, x, int(column))
+        return matrix
 
     return jacobian
+
+
+def _difference(field: Field, t: float, x: StateVector, column: int) -> StateVector:
+    """A column of the Jacobian by a difference: the slope of a formula that is not taken, 0 times
+    infinity, may make that written out not a number where the flow is one."""
+    moved = x.copy()
+    moved[column] += EPS**0.5 * float(abs(x[column]) or np.abs(x).max() or 1.0)
+    here, beside = (np.array(field.rhs(t, y.tolist())) for y in (x, moved))
+    return (beside - here) / (moved[column] - x[column])
 
 
 def _restart(solver: Any, flow: Any, x0: StateVector, length: float, first: float | None) -> None:
