@@ -1,4 +1,5 @@
-"""Ten thousand beads of Example 1 in numba: Dormand and Prince's method by hand, on all cores.
+"""Ten thousand beads of Example 1 in numba, on all cores: Dormand and Prince's method by hand, and
+Taylor's.
 
 Heights are over the wall, so that low flights do not drown in rounding.
 """
@@ -6,11 +7,15 @@ Heights are over the wall, so that low flights do not drown in rounding.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numba
 import numpy as np
 
-WALL, TOLERANCE, SLOW = 2.0, 1e-9, 1e-5
+from peers import numba_taylor
+from peers.numba_taylor import ORDER, at_rest, hard_spring
+
+WALL, SLOW = 2.0, 1e-5
 
 
 def compiled(**options):
@@ -24,7 +29,7 @@ def pull(y, v):
 
 
 @compiled()
-def attempt(y, v, a, h):
+def attempt(y, v, a, h, tolerance):
     """One step of the fifth order: the state after it, its acceleration, and its error."""
     v2 = v + h * a / 5
     a2 = pull(y + h * v / 5, v2)
@@ -46,17 +51,18 @@ def attempt(y, v, a, h):
     e5, e6, e7 = -17253 / 339200, 22 / 525, -1 / 40
     ey = h * (e1 * v + e3 * v3 + e4 * v4 + e5 * v5 + e6 * v6 + e7 * v1)
     ev = h * (e1 * a + e3 * a3 + e4 * a4 + e5 * a5 + e6 * a6 + e7 * a1)
-    ey /= TOLERANCE * (1 + max(abs(y), abs(y1)))
-    ev /= TOLERANCE * (1 + max(abs(v), abs(v1)))
+    ey /= tolerance * (1 + max(abs(y), abs(y1)))
+    ev /= tolerance * (1 + max(abs(v), abs(v1)))
     return y1, v1, a1, math.sqrt(0.5 * (ey * ey + ev * ev))
 
 
 @compiled()
-def flown(y, v, h):
-    """Duration of a flight, and the velocity at its end."""
+def in_pairs(y, v, tolerance, room):
+    """Duration of a flight, and the velocity at its end, by Dormand and Prince's pair."""
     t, a = 0.0, pull(y, v)
+    h = 1e-3 if y > 0.0 else 2.1 * v / (math.cos(v) + WALL**3)
     while True:
-        y1, v1, a1, error = attempt(y, v, a, h)
+        y1, v1, a1, error = attempt(y, v, a, h, tolerance)
         if error <= 1 and y1 <= 0:
             break
         if error <= 1:
@@ -67,39 +73,59 @@ def flown(y, v, h):
         if abs(shift) <= 1e-14 * h:
             break
         h += shift
-        y1, v1, a1, error = attempt(y, v, a, h)
+        y1, v1, a1, error = attempt(y, v, a, h, tolerance)
     return t + h, v1
 
 
-@compiled(parallel=True)
-def last(impacts, x, r):
-    """Time of the last impact of each lane."""
-    times = np.zeros(len(x))
-    for i in numba.prange(len(x)):
-        t, v = flown(x[i] - WALL, 0.0, 1e-3)
-        for _ in range(impacts - 1):
-            v *= -r[i]
-            own, v = flown(0.0, v, 2.1 * v / (math.cos(v) + WALL**3))
-            t += own
-        times[i] = t
-    return times
+@compiled()
+def in_series(y, v, tolerance, room):
+    """The same by Taylor's method."""
+    return numba_taylor.flown(
+        hard_spring, (WALL,), at_rest, 0.0, y, v, y == 0.0, tolerance,
+        room[0], room[1], room[2], room[3:],
+    )  # fmt: skip
 
 
-@compiled(parallel=True)
-def to_rest(until, x, r):
-    """When the impacts of each lane accumulate; NaN where not before ``until``.
+#: What flies, by its name.
+METHODS = {"Dormand-Prince": in_pairs, "Taylor": in_series}
 
-    Impacts slower than ``SLOW`` are added as a geometric series.
-    """
-    times = np.zeros(len(x))
-    for i in numba.prange(len(x)):
-        t, v = flown(x[i] - WALL, 0.0, 1e-3)
-        while t < until:
-            v *= -r[i]
-            if v < SLOW:
-                t += 2 * v / ((math.cos(v) + WALL**3) * (1 - r[i]))
-                break
-            own, v = flown(0.0, v, 2.1 * v / (math.cos(v) + WALL**3))
-            t += own
-        times[i] = t if t < until else math.nan
-    return times
+
+@cache
+def loops(method):
+    """The loops over all lanes by a method: to a number of impacts, and to rest."""
+    flown = METHODS[method]
+
+    @compiled(parallel=True)
+    def last(impacts, tolerance, x, r):
+        """Time of the last impact of each lane."""
+        times = np.zeros(len(x))
+        for i in numba.prange(len(x)):
+            room = np.zeros((7, ORDER + 1))
+            t, v = flown(x[i] - WALL, 0.0, tolerance, room)
+            for _ in range(impacts - 1):
+                own, v = flown(0.0, -r[i] * v, tolerance, room)
+                t += own
+            times[i] = t
+        return times
+
+    @compiled(parallel=True)
+    def to_rest(until, tolerance, x, r):
+        """When the impacts of each lane accumulate; NaN where not before ``until``.
+
+        Impacts slower than ``SLOW`` are added as a geometric series.
+        """
+        times = np.zeros(len(x))
+        for i in numba.prange(len(x)):
+            room = np.zeros((7, ORDER + 1))
+            t, v = flown(x[i] - WALL, 0.0, tolerance, room)
+            while t < until:
+                v *= -r[i]
+                if v < SLOW:
+                    t += 2 * v / ((math.cos(v) + WALL**3) * (1 - r[i]))
+                    break
+                own, v = flown(0.0, v, tolerance, room)
+                t += own
+            times[i] = t if t < until else math.nan
+        return times
+
+    return last, to_rest
