@@ -50,11 +50,13 @@ def test_columns_and_rows_of_the_jump_table(run):
 
 
 def test_arcs_are_joined_by_jumps(run):
-    """Each arc starts where its jump leads and j counts them."""
+    """Each arc starts where its jump leads, at the time of that, and j counts them."""
     arcs = run.arcs
     assert [arc.j for arc in arcs[:-1]] == list(range(len(arcs) - 1))
-    for jump, arc in zip(run.jumps, arcs[1:-1], strict=False):
-        assert arc.t0 == pytest.approx(jump.t, abs=1e-15)
+    for jump, before, arc in zip(run.jumps, arcs[:-2], arcs[1:-1], strict=True):
+        assert before.t1 == jump.t == arc.t0
+        assert np.all(before.last == np.array([jump.before.x, jump.before.v]))
+    assert arcs[-2].t1 == arcs[-1].t0 == run.zeno[0].t
     assert arcs[-1].mode == "flight.rest(impact)"
 
 
@@ -400,7 +402,7 @@ def test_flights_of_a_sum_are_listed_as_they_are_made(solver, rtol):
         for jump, arc, after in zip(run.jumps[:8], run.arcs[1:9], run.arcs[2:10], strict=True):
             s, x, v = 0.5 * (after.t0 - arc.t0), jump.after.x, jump.after.v
             middle, off = run(arc.t0 + s), 1e-13 + rtol * s
-            assert arc.t1 == pytest.approx(after.t0, abs=off)
+            assert arc.t1 == after.t0
             assert middle.x == pytest.approx(x + v * s - 4.9 * s * s, abs=10 * off)
             assert middle.v == pytest.approx(v - 9.8 * s, abs=10 * off)
 

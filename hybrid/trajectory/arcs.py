@@ -182,21 +182,18 @@ class TailPart(_Moded):
         return self.tail.x_inf
 
     def arc(self, n: int) -> Arc:
-        """The arc after the tail's impact ``n``."""
-        tail = self.tail
-        flight = tail.flight(n)
+        """The arc after the tail's impact ``n``, which ends where the next is listed, or the limit
+        is."""
+        tail, flight, (times, lows) = self.tail, self.tail.flight(n), self.times
         x = tail.point(tail.r**n)[1] if n else tail.x
-        if flight is None:  # a line, to the next impact or the limit
-            last = n == tail.count
-            length = float((tail.remaining if last else tail.times[n + 1]) - tail.times[n])
-            end = tail.x_inf if last else tail.impacts[0][n]
-            segments = [straight(0.0, length, x, end)]
+        if n == tail.count:
+            until, t1, end = tail.remaining, self.t1, tail.x_inf
         else:
-            length, end = flight.time, np.array(flight.x)
-            segments = flight.segments()
-        t, low = (float(times[n]) for times in self.times)
-        t1 = Instant(t, low).after(length).t
-        return Arc(self.mode, self.j + n, t, low, length, t1, x, end, segments)
+            until, t1, end = tail.times[n + 1], float(times[n + 1]), tail.impacts[0][n]
+        length = float(until - tail.times[n])
+        segments = [straight(0.0, length, x, end)] if flight is None else flight.segments()
+        began = float(times[n]), float(lows[n])
+        return Arc(self.mode, self.j + n, *began, length, t1, x, end, segments)
 
     def jump(self, n: int) -> JumpRow:
         """The tail's impact ``n`` (1, 2, ...)."""
