@@ -190,8 +190,11 @@ class TailPart(_Moded):
             until, t1, end = tail.remaining, self.t1, tail.x_inf
         else:
             until, t1, end = tail.times[n + 1], float(times[n + 1]), tail.impacts[0][n]
-        length = float(until - tail.times[n])
-        segments = [straight(0.0, length, x, end)] if flight is None else flight.segments()
+        if flight is None:  # a line
+            length = float(until - tail.times[n])
+            segments = [straight(0.0, length, x, end)]
+        else:  # its own length, which has its digits where times have none
+            length, segments = flight.time, flight.segments()
         began = float(times[n]), float(lows[n])
         return Arc(self.mode, self.j + n, *began, length, t1, x, end, segments)
 
