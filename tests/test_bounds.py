@@ -111,3 +111,35 @@ def test_the_bound_holds_shortly_before_a_release(weight, k, r, v, exact):
     start = {"x": 0.0, "v": v}
     (point,) = hy.simulate(model, start, (0.0, until), solver="taylor", rtol=1e-10).zeno
     assert abs(point.t - exact) <= point.t_error <= 1e-9 * exact
+
+
+class SuperTwisting(hy.Automaton):
+    """Levant's algorithm, which brings ``x`` to zero in finite time."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode(initial=True)
+    def above(self, t, s):
+        return s.v - 1.199 * jnp.sqrt(abs(s.x)), -0.966
+
+    @hy.mode
+    def below(self, t, s):
+        return s.v + 1.199 * jnp.sqrt(abs(s.x)), 0.966
+
+    @hy.mode(limit_of=("surface",))
+    def rest(self, t, s):
+        return 0.0, 0.0
+
+    surface = hy.switching(above, below, surface=lambda self, t, s: s.x)
+
+
+def test_steps_that_become_as_short_as_rounding_leave_no_bound_or_a_true_one():
+    """The steps of the runs that are compared shrink to nothing at the limit."""
+    start, found = {"x": 1.684, "v": 0.274}, []
+    for options in ({}, {"rtol": 1e-5, "atol": 1e-7}):
+        run = hy.simulate(SuperTwisting(), start, (0.0, 4.0), solver="taylor", **options)
+        found += run.zeno
+    fine, loose = found
+    assert fine.t_error < 1e-10
+    assert abs(fine.t - loose.t) <= fine.t_error + loose.t_error

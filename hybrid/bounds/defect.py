@@ -108,6 +108,8 @@ class Defect:
         """
         from .series import with_terms
 
+        if length <= 64 * EPS * abs(t) or length == 0.0:
+            return 1.0
         allowed = _allowed(field, t, length, coefficients, lost)
         blurred = 64 * EPS * max(length, abs(t)) / length
         reach = lambda: self._reach(field, t, length, coefficients, *allowed, blurred)  # noqa: E731

@@ -178,7 +178,7 @@ class WatchfulStepper(Stepper):
         direction of motion; otherwise the state would be moved back before the change.
         """
         solver = self.solver
-        if not solver.shaken:
+        if not (solver.shaken and segment.length > 0.0):
             return
         sizes = np.abs(segment.coefficients).sum(axis=0)
         moved = self._left_open(segment, sizes, segment.start, 1.0)
