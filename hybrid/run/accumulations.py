@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import attrs
@@ -246,12 +247,40 @@ def pass_cycle(
         after = None
     rest = driver.scene.field(driver.scene.name(*after)) if after else field
     unlike = _unlike(driver, field, found) if after else 0.0
-    for time, there in ((late, rest), (unlike, field)):
+    for time, there in ((late, rest), (unlike, field), (_disturbed(driver, found), field)):
         if time > 0.0:
             off = time * np.abs(there.rhs(driver.t, found.x_inf.tolist()))
             found = attrs.evolve(found, t_error=found.t_error + time, x_error=found.x_error + off)
     ends = found.edges, found.ratio, after, sides
     _go_on_from(driver, found, field, *ends, moved=moved)
+
+
+def _disturbed(driver: Driver, found: CycleLimit) -> float:
+    """How far off the limit of a cycle may be as other jumps come between those of its edges.
+
+    There the state is rounded, and so are the guards: one within rounding of zero may fire at once.
+    A guard that is off by ``d`` lands by ``d / u`` earlier or later, at the speed ``u``, and faster
+    or slower by ``d`` times its acceleration over ``u``; what is left of the cycle, as many flights
+    as it has edges and those after them, is longer or shorter as that speed is.
+    """
+    if driver.record.memory is not None:  # guards may have been others then
+        return 0.0
+    pairs, total = pairwise(driver.cycles.last(len(driver.cycles.seen.t))), 0.0
+    for jump, following in (pair for pair in pairs if pair[0].edge not in found.edges):
+        field, t, x = driver.scene.field(following.mode), jump.t, jump.x.tolist()
+        for guard in (guard for guard in field.guards if guard.edge in found.edges):
+            value, rate, bend = guard.lie(t, x)
+            rounded = EPS * driver.scene.rounding(guard, field)(t, x)[0]
+            off = GUARD_ROUNDING * rounded if abs(value) <= GUARD_ROUNDING * rounded else rounded
+            speed, pull = (rate * rate + 2.0 * abs(bend * value)) ** 0.5, abs(bend)
+            if speed > 0.0 and pull > 0.0:
+                flights = (
+                    2.0 * len(found.edges) / (1.0 - found.ratio)
+                )  # forces may be half as large
+                left = max(driver.t - t, flights * 2.0 * speed / pull)
+                longer = left * ((1.0 + 2.0 * pull * off / speed**2) ** 0.5 - 1.0)
+                total += min(off / speed + longer, left)
+    return total
 
 
 def _unlike(driver: Driver, field: Field, found: CycleLimit) -> float:
