@@ -407,3 +407,42 @@ def test_the_slope_of_a_branch_that_is_not_taken_does_not_count(method):
         spent = 2.0 * u - 2.0 * np.log(1.0 + u)
         half = 2.0 - 2.0 * np.log(2.0)
         assert (half - spent if x < 1.0 else half + spent) == pytest.approx(t, abs=1e-5)
+
+
+class Capped(hy.Automaton):
+    """The integral of 1/x where that is below 10, and of 10 else."""
+
+    x = hy.state()
+    y = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return 1.0, jnp.where(s.x < 0.1, 10.0, 1.0 / s.x)
+
+
+@pytest.mark.parametrize("way", SOLVERS)
+def test_a_pole_on_a_branch_that_is_not_taken_is_passed(way):
+    """1/x at 0, and a start there."""
+    for begin in (-1.0, 0.0):
+        run = hy.simulate(Capped(), {"x": begin, "y": 0.0}, (begin, 2.0), **SOLVERS[way])
+        exact = 10.0 * (0.1 - begin) + np.log(20.0)
+        assert run.final.y == pytest.approx(exact, rel=1e-6)
+
+
+class Rate(hy.Automaton):
+    """The integral of z / (1 - exp(-z)), by its series where that is 0/0."""
+
+    z = hy.state()
+    y = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        near = 1.0 + s.z * (1 / 2 + s.z * (1 / 12 - s.z**2 * (1 / 720 - s.z**2 / 30240)))
+        return 1.0, jnp.where(jnp.abs(s.z) < 0.1, near, -s.z / jnp.expm1(-s.z))
+
+
+def test_a_quotient_of_zeros_on_a_branch_that_is_not_taken_is_passed_by_taylor_series():
+    """Of its own integral the even part is known: half of the rates at z and -z differ by z."""
+    run = hy.simulate(Rate(), {"z": -2.0, "y": 0.0}, (-2.0, 2.0), solver="taylor")
+    half = hy.simulate(Rate(), {"z": 0.0, "y": 0.0}, (0.0, 2.0), solver="taylor").final.y
+    assert run.final.y == pytest.approx(2.0 * half - 2.0, abs=1e-12)  # f(-z) = f(z) - z

@@ -156,6 +156,20 @@ def _made(graph: Graph, node: tuple[Any, ...]) -> int | None:
     return MADE_OF_OTHERS[node[0]](graph, *node[1:]) if node[0] in MADE_OF_OTHERS else None
 
 
+def branches(graph: Graph, roots: Sequence[int]) -> dict[int, frozenset[tuple[int, int]]]:
+    """For each node the choices on whose branches alone it is needed: the condition, and the place
+    of the branch among what a ``select`` is made of."""
+    found = dict.fromkeys(roots, frozenset[tuple[int, int]]())
+    for number in reversed(needed(graph, roots)):
+        op, *parts = graph.nodes[number]
+        for place, part in enumerate(parts if op not in ("const", "input") else ()):
+            own = found[number]
+            if op == "select" and place > 0:
+                own = own | {(parts[0], place)}
+            found[part] = found.get(part, own) & own
+    return found
+
+
 class _Recorder:
     """Writes nodes into arrays; ``place[node]`` is a row, or ``-1 - i`` for number ``i``."""
 
@@ -166,6 +180,7 @@ class _Recorder:
         self.flow, self.functions = flow, functions
         self.slopes: dict[int, tuple[int, ...]] = {}
         self.watched: dict[Watched, int] = {}
+        self.branches = branches(graph, [*flow, *functions])
         self._add()
         self.place: dict[int, int] = {}
         self.rows = size + 1
@@ -204,7 +219,12 @@ class _Recorder:
             square = graph.node("add", graph.node("mul", x, x), graph.node("mul", y, y))
             turn = graph.node("neg", graph.node("div", y, square))
             self.slopes[number] = graph.node("div", x, square), turn
+        own = self.branches.get(number, frozenset())
+        for node in needed(graph, self.slopes.get(number, ())):
+            self.branches[node] = self.branches.get(node, own) & own
         what = self._seen(op, arguments)
+        if what is not None and what.kind == "pole":
+            what = Watched("pole", self._where_taken(number, what.node))
         if what is not None and graph.flows(what.node):
             self.watched.setdefault(what, len(self.watched))
             return [self._root(what), *self.slopes.get(number, ())]
@@ -222,6 +242,15 @@ class _Recorder:
         if op in BANDS:
             return Watched("band", arguments[0], *BANDS[op])
         return Watched("pole", self._divided(op, arguments)) if op in POLES else None
+
+    def _where_taken(self, number: int, divided: int) -> int:
+        """What an operation divides by, and 1 where it is on a branch that is not taken: there its
+        pole is nothing to the flow."""
+        graph, one = self.graph, self.graph.const(1.0)
+        for condition, place in sorted(self.branches.get(number, ())):
+            pair = (divided, one) if place == 1 else (one, divided)
+            divided = graph.node("select", condition, *pair)
+        return divided
 
     def _divided(self, op: str, arguments: list[int]) -> int:
         """What has a pole where it is zero; a power has none while its exponent is positive."""
