@@ -191,6 +191,27 @@ def test_damaged_files_are_one_kind_of_error(bead, tmp_path, seed):
             assert hy.load(path).spec.dimension >= 0
 
 
+@pytest.mark.parametrize("name", ["arc_t0", "segment_coefficients", "jump_t", "arc_segments"])
+def test_changed_numbers_are_refused_unless_they_are_wanted(bead, tmp_path, name):
+    """A number that is not the one that was written; without the checksum it is read as it is."""
+    path = tmp_path / "run.nc"
+    bead.save(path)
+    with h5py.File(path, "a") as file:
+        numbers = file[name][...]
+        numbers.flat[-1] += 1
+        file[name][...] = numbers
+    with pytest.raises(hy.StoreError, match="numbers are not those that were written"):
+        hy.load(path)
+    with h5py.File(path, "a") as file:
+        file[name][...] = numbers - (np.arange(numbers.size) == numbers.size - 1).reshape(
+            numbers.shape
+        )
+    assert repr(hy.load(path)) == repr(bead)
+    with h5py.File(path, "a") as file:
+        del file.attrs["checksum"]
+    assert repr(hy.load(path)) == repr(bead)
+
+
 def test_numbers_in_another_file_are_refused(bead, tmp_path):
     """A table whose raw data lie elsewhere is not followed."""
     path, other = tmp_path / "run.nc", tmp_path / "other"

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkstemp
 from typing import TYPE_CHECKING, Any, TypeVar
+from zlib import crc32
 
 import attrs
 import numpy as np
@@ -147,11 +148,22 @@ def save(run: Solution, path: Any) -> None:
         data["sample_t"] = ("sample", run.options["times"])
         data["sample_state"] = (("sample", "element"), run.samples)
     attributes = {"format": FORMAT, "meta": json.dumps(_meta(run, modes, edges))}
+    written = xr.Dataset(data, attrs=attributes)
+    written.attrs["checksum"] = _checksum(written)
     try:
         with _replacing(Path(path).resolve()) as part:
-            xr.Dataset(data, attrs=attributes).to_netcdf(part, engine="h5netcdf")
+            written.to_netcdf(part, engine="h5netcdf")
     except (OSError, RuntimeError) as fault:  # HDF5 reports a full disk as a RuntimeError
         raise StoreError(f"cannot write {path}: {fault}") from None
+
+
+def _checksum(data: Any) -> int:
+    """The CRC-32 of the names and numbers of a file's tables."""
+    total = 0
+    for name in sorted(data.variables):
+        numbers = np.ascontiguousarray(data.variables[name].values)
+        total = crc32(numbers.tobytes(), crc32(name.encode(), total))
+    return total
 
 
 def _signals(run: Solution) -> dict[str, Any]:
@@ -272,6 +284,11 @@ def _trajectory(data: Any, cls: type[Kind]) -> Kind:
     """A trajectory from the dataset that :func:`save` writes."""
     if int(data.attrs["format"]) != FORMAT:
         raise StoreError(f"layout {data.attrs['format']}; this version reads {FORMAT}")
+    if data.attrs.get("checksum", known := _checksum(data)) != known:
+        raise StoreError(
+            "its numbers are not those that were written: it is damaged, or was edited; run it "
+            "again, or take its attribute 'checksum' away to read it as it is"
+        )
     meta = json.loads(data.attrs["meta"])
     states = [
         StateSpec(name, unit, doc, tuple(sh), off, *kind)
