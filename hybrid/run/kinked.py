@@ -184,7 +184,7 @@ class KinkedStepper(Stepper):
                 self._begin(self.tau + (1.0 - short) * ahead)
                 short = min(SHORTER * short, 0.9)
             else:
-                self._pass(cut, ahead)
+                self._pass(cut, ahead, limit)
                 return
 
     def _depart(self, way: Departure, limit: float) -> None:
@@ -278,7 +278,7 @@ class KinkedStepper(Stepper):
         times = [abs(x[i] / flow[i]) for i in kink.uses if flow[i]]
         return SPACINGS * EPS * max(abs(self.t0) + self.tau, min(times, default=0.0))
 
-    def _pass(self, cut: Cut, ahead: float) -> None:
+    def _pass(self, cut: Cut, ahead: float, limit: float) -> None:
         """Go on along a parabola until a deciding function has the sign beyond a kink, for some
         time: a step from the same place would meet the same kink. The parabola is that of the
         formula before the kink."""
@@ -295,7 +295,7 @@ class KinkedStepper(Stepper):
                 break
             bend = 0.5 * (later - rate) / ahead if np.isfinite(later).all() else bend
             ahead, more = ahead + more, 2.0 * more
-        ahead = min(ahead, self.length - self.tau)
+        ahead = min(ahead, min(limit, self.length) - self.tau)
         start, self.tau = self.tau, self.tau + ahead
         powers = np.array([x, ahead * rate, ahead * ahead * bend]).T
         self._segment = of_powers(start, self.tau - start, powers)
