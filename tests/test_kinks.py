@@ -446,3 +446,33 @@ def test_a_quotient_of_zeros_on_a_branch_that_is_not_taken_is_passed_by_taylor_s
     run = hy.simulate(Rate(), {"z": -2.0, "y": 0.0}, (-2.0, 2.0), solver="taylor")
     half = hy.simulate(Rate(), {"z": 0.0, "y": 0.0}, (0.0, 2.0), solver="taylor").final.y
     assert run.final.y == pytest.approx(2.0 * half - 2.0, abs=1e-12)  # f(-z) = f(z) - z
+
+
+class Dragged(hy.Automaton):
+    """A spring with drag by the square of the speed, and a weak second spring near the turn."""
+
+    x = hy.state()
+    v = hy.state()
+    c = hy.parameter(0.5)
+    k = hy.parameter(0.1)
+
+    @hy.mode
+    def flow(self, t, s):
+        pushes = self.k * jnp.maximum(s.x - self.c, 0.0)
+        return s.v, -s.x - 0.2 * s.v * jnp.abs(s.v) + pushes
+
+
+@pytest.mark.parametrize(
+    ("solver", "method", "rtol"),
+    [("scipy", "DOP853", 1e-6), ("scipy", "RK45", 1e-4), ("diffrax", "Dopri8", 1e-6)],
+)
+def test_a_corner_behind_a_turn_is_come_to_by_steps(solver, method, rtol):
+    """Where the speed is zero the place does not move for a moment: that says nothing of how soon
+    it comes to the corner."""
+    start, top = {"x": 0.0, "v": 1.0}, 0.8
+    for below, k in np.random.default_rng(0).uniform([-4.0, -4.0], [-0.5, 0.0], (12, 2)).tolist():
+        model = Dragged(c=top - 10**below, k=10**k)
+        fine = hy.simulate(model, start, (0.0, 3.0), solver="taylor").final
+        options = {"method": method, "rtol": rtol, "atol": 1e-2 * rtol}
+        run = hy.simulate(model, start, (0.0, 3.0), solver=solver, **options)
+        assert run.final.x == pytest.approx(fine.x, abs=50 * rtol)

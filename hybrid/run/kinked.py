@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 #: which beyond the kink is that of another formula: its error is the square of this.
 SHORT_OF, SHORTER, PARABOLIC = 1e-4, 8.0, 1e-8
 
+#: The most of a step in which nothing is seen of a deciding function.
+BLURRED = 1e-6
+
 #: A way that goes on beyond a kink for more than so many times the way to it is straight: the bend
 #: of the way to it would be rounding.
 STRAIGHT_BEYOND = 8.0
@@ -273,10 +276,12 @@ class KinkedStepper(Stepper):
 
     def _speck(self, kink: Kink) -> float:
         """A time too short to see anything in, by the rounding of the time or of the deciding
-        function."""
+        function. Where that hardly moves, as a speed may that turns, what bends its way counts."""
         x, flow = self.x.tolist(), self.field.rhs(self.t0 + self.tau, self.x.tolist())
         times = [abs(x[i] / flow[i]) for i in kink.uses if flow[i]]
-        return SPACINGS * EPS * max(abs(self.t0) + self.tau, min(times, default=0.0))
+        most = BLURRED * max(self.seen, self.first or 0.0)
+        rounding = SPACINGS * EPS * min(times, default=0.0)
+        return max(SPACINGS * EPS * (abs(self.t0) + self.tau), min(rounding, most))
 
     def _pass(self, cut: Cut, ahead: float, limit: float) -> None:
         """Go on along a parabola until a deciding function has the sign beyond a kink, for some
