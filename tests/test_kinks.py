@@ -1,5 +1,6 @@
 """Flows and guards that change their formula, with other solvers' steps in the loop and without."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -476,3 +477,25 @@ def test_a_corner_behind_a_turn_is_come_to_by_steps(solver, method, rtol):
         options = {"method": method, "rtol": rtol, "atol": 1e-2 * rtol}
         run = hy.simulate(model, start, (0.0, 3.0), solver=solver, **options)
         assert run.final.x == pytest.approx(fine.x, abs=50 * rtol)
+
+
+class Signs(hy.Automaton):
+    """The integral of ``|x| + 2 sign(x)``."""
+
+    x = hy.state()
+    z = hy.state()
+    c = hy.parameter(1.0)
+
+    @hy.mode
+    def flow(self, t, s):
+        return self.c * (1.0 + 0.0 * s.x), jnp.abs(s.x) + 2.0 * jnp.sign(s.x)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_a_derivative_of_a_motion_that_begins_on_a_jump_comes_to_an_end(solver):
+    """At the state 0 and the time 0, from which the first step is as short as numbers are; in a
+    callback of JAX the shortest are zero."""
+    fly = hy.as_function(Signs(), t=(0.0, 1.0), max_jumps=4, solver=solver)
+    value, slope = jax.value_and_grad(lambda c: fly(Signs(c=c), {"x": 0.0, "z": 0.0}).final.z)(1.0)
+    assert value == pytest.approx(2.5, abs=1e-6)
+    assert slope == pytest.approx(0.5, abs=1e-6)

@@ -20,6 +20,7 @@ from ..rules import unit
 from ..rules.cuts import MOVES
 from ..rules.entries import ARMED, BEYOND, FIRES, LEAVES, OUTSIDE, UNDECIDED
 from ..rules.guards import GUARD_ROUNDING, NEAR, TIE
+from ..rules.lengths import SHORTEST_STEP
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
 
@@ -405,10 +406,13 @@ def _way(field: Field, t: float, x: StateVector) -> tuple[Matrix, float]:
 
 
 def _first_step(t: float, x: StateVector, flow: Numbers) -> float:
-    """The time in which the time, or an element of the state, changes by a rounding."""
+    """The time in which the time, or an element of the state, changes by a rounding. It is no
+    number next to the smallest, which are zero in threads of XLA's."""
     moves = (x != 0.0) & (flow != 0.0)
     times = np.abs(x[moves] / flow[moves])
-    return max(float(np.spacing(abs(t))), EPS * float(times.min()) if times.size else 0.0)
+    return max(
+        float(np.spacing(abs(t))), EPS * float(times.min()) if times.size else 0.0, SHORTEST_STEP
+    )
 
 
 def beyond_kinks(
