@@ -274,10 +274,8 @@ def _disturbed(driver: Driver, found: CycleLimit) -> float:
             off = GUARD_ROUNDING * rounded if abs(value) <= GUARD_ROUNDING * rounded else rounded
             speed, pull = (rate * rate + 2.0 * abs(bend * value)) ** 0.5, abs(bend)
             if speed > 0.0 and pull > 0.0:
-                flights = (
-                    2.0 * len(found.edges) / (1.0 - found.ratio)
-                )  # forces may be half as large
-                left = max(driver.t - t, flights * 2.0 * speed / pull)
+                flight = 4.0 * speed / pull  # in another mode the force may be half as large
+                left = max(driver.t - t, len(found.edges) * flight / (1.0 - found.ratio))
                 longer = left * ((1.0 + 2.0 * pull * off / speed**2) ** 0.5 - 1.0)
                 total += min(off / speed + longer, left)
     return total
