@@ -161,7 +161,7 @@ def both_limits(model, x, later, solver):
 
 #: How much later the ball comes to rest, as a share; restitution and height of the body.
 CLOSE = (1e-6, 1e-7, 1e-8, -1e-8, 3e-9)
-BODIES = np.random.default_rng(3).uniform([0.3, 0.1], [0.9, 1.0], (4, 2)).tolist()
+BODIES = np.random.default_rng(3).uniform([0.3, 0.1], [0.9, 1.0], (2, 2)).tolist()
 
 
 @pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
