@@ -169,9 +169,8 @@ def simulate(
     return run
 
 
-def whole_run(*model_start_t: Any, **options: Any) -> Trajectory:
-    """:func:`simulate` for what needs the whole run: an interrupt goes on to the caller."""
-    run = simulate(*model_start_t, **options)
+def whole(run: Trajectory) -> Trajectory:
+    """A run for what needs all of it: an interrupt goes on to the caller."""
     if run.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     return run

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import HybridError
 from ..result import Trajectory
-from ..simulation import whole_run
+from ..simulation import simulate, whole
 from .differences import differences
 
 #: Options of each method, by label; the first is the reference.
@@ -142,7 +142,7 @@ def compare(
 
 def _run(model: Any, start: Any, t: Any, options: Any) -> Trajectory | HybridError:
     try:
-        return whole_run(model, start, t, **options)
+        return whole(simulate(model, start, t, **options))
     except HybridError as fault:
         return fault
 

@@ -21,7 +21,7 @@ from ..errors import PLOT, HybridError, OptionError, need
 from ..plot.figure import Curve, Figure, Panel, column, looks_of_method
 from ..result import Trajectory
 from ..run.options import require_count
-from ..simulation import whole_run
+from ..simulation import simulate, whole
 from ..solvers.base import FINEST
 from ..trajectory.stats import versions
 from .differences import differences
@@ -327,7 +327,7 @@ class _Tighter:
         fault: HybridError | None = None
         for name, choice in REFERENCES.items():
             try:
-                self.runs[name] = whole_run(model, start, t, **{**options, **choice})
+                self.runs[name] = whole(simulate(model, start, t, **{**options, **choice}))
             except HybridError as failed:
                 fault = failed
         if not self.runs:
@@ -369,7 +369,7 @@ class _Runner:
         self.calls, self.reason = 1, ""
 
     def _run(self) -> Trajectory:
-        return whole_run(*self.arguments, **self.options)
+        return whole(simulate(*self.arguments, **self.options))
 
     def begin(self, judge: _Judge, first: bool) -> None:
         """Make the first call, measure error and memory, and choose the calls per timing."""

@@ -14,7 +14,7 @@ from ..ensembles.measures import SAME_POINT, STILL_SHARE, number_of
 from ..ensembles.runs import solver_for
 from ..errors import OptionError
 from ..lowering import scene_of
-from ..simulation import whole_run
+from ..simulation import simulate, whole
 from ..trajectory.trajectory import Status
 from .boundary import Dimension, dimension
 from .grid import sweep
@@ -355,7 +355,7 @@ class _Flown:
         scene = scene_of(self.model)
         asked["solver"] = solver_for(scene, asked.get("solver"), asked.get("method"))
         start, (t0, t1) = self.begun(lane), self.longer
-        run = whole_run(self.model, start, (t0, t1), **asked)
+        run = whole(simulate(self.model, start, (t0, t1), **asked))
         found, middle = run.settles(), self.span[1]
         sticks = [p.t1 - max(p.t0, middle) for p in run.parts if p.constrained and p.t1 > middle]
         return Attractor(

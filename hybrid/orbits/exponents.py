@@ -11,7 +11,7 @@ from ..automaton.base import COUNT_IN_RUN, require_model, require_no_discrete
 from ..errors import OptionError, OrbitError
 from ..result import Trajectory
 from ..run.options import require_taken, time_of, times_of
-from ..simulation import simulate, whole_run
+from ..simulation import simulate, whole
 from ..trajectory.trajectory import Status
 from ..variation import GROWN_APART, TRANSIENT, factors, first_frame, grown, largest
 
@@ -148,7 +148,7 @@ def lyapunov(
 
 def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]) -> Trajectory:
     """Simulate a run; raise an :class:`OrbitError` if it ends before its last time."""
-    run = whole_run(model, start, t, **options)
+    run = whole(simulate(model, start, t, **options))
     if run.status is not Status.REACHED_END:
         raise OrbitError(f"{run.spec.model}: the run ended at t = {run.t1:.9g}: {run.status}")
     return run

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import OrbitError
 from ..result import Trajectory
 from ..run.sections import Return
-from ..simulation import whole_run
+from ..simulation import simulate, whole
 from ..trajectory.arcs import Arc
 from ..variation import Strand
 from .cut import behind, cut
@@ -58,7 +58,7 @@ class RestartShooting(Shooting):
         event = behind(run, guess.edge) if isinstance(guess, Landed) else None
         if event is None:
             return run
-        return whole_run(self.model, event, (run.t0, run.t1), **self.options)
+        return whole(simulate(self.model, event, (run.t0, run.t1), **self.options))
 
     def _landed(self, run: Trajectory, index: int, period: float) -> Landed:
         row, mode = run.own_jumps[index], run.parts[index + 1].mode

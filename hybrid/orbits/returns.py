@@ -18,7 +18,7 @@ from ..lowering.scene import parted
 from ..result import Trajectory
 from ..run.options import require_count, require_taken, start_of, time_of
 from ..run.sections import EdgeSection, Period, Return, Section, Surface, section_of
-from ..simulation import simulate, whole_run
+from ..simulation import simulate, whole
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Status
 from ..variation.carried import WINDOW_SPACINGS
@@ -235,9 +235,9 @@ class ReturnMap:
         times = (point.t, until)
         if point.run is not None:
             options = {**self.options, "history": None}
-            return whole_run(self.model, point.run, times, **options)
+            return whole(simulate(self.model, point.run, times, **options))
         options = {**self.options, "history": point.history}
-        return whole_run(self.model, start, times, mode=point.mode, **options)
+        return whole(simulate(self.model, start, times, mode=point.mode, **options))
 
     def _land(self, run: Trajectory, start: Any, point: Point) -> Trajectory:
         """Repeat a run so that it ends on a surface, which is more accurate than dense output; not

@@ -21,7 +21,7 @@ from ..delay.history import pieces
 from ..errors import HybridError, OrbitError
 from ..lowering import Scene, scene_of
 from ..result import Trajectory
-from ..simulation import whole_run
+from ..simulation import simulate, whole
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
 from ..variation import Factor, factors, largest
@@ -126,7 +126,7 @@ class Shooting:
         """The run of a given length from a guess."""
         span, start = (guess.t, guess.t + length), self.scene.spec.record(guess.x)
         options = {**self.options, "history": guess.history}
-        run = whole_run(self.model, start, span, mode=guess.mode, **options)
+        run = whole(simulate(self.model, start, span, mode=guess.mode, **options))
         if run.t1 < span[1]:
             raise OrbitError(f"{run.spec.model}: the run ended at t = {run.t1:.9g}: {run.status}")
         return run
