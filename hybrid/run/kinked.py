@@ -187,7 +187,7 @@ class KinkedStepper(Stepper):
                 self._begin(self.tau + (1.0 - short) * ahead)
                 short = min(SHORTER * short, 0.9)
             else:
-                self._pass(cut, ahead, limit)
+                self._pass(cut, ahead)
                 return
 
     def _depart(self, way: Departure, limit: float) -> None:
@@ -262,7 +262,8 @@ class KinkedStepper(Stepper):
             if abs(kink.value(t, x.tolist())) <= HAS_COME * abs(was):
                 speck = self._speck(kink)
                 later = x + speck * self._flow(t, x)
-                if kink.value(t + speck, later.tolist()) * was < 0.0:
+                short = speck <= SHORT_OF * own.length
+                if short and kink.value(t + speck, later.tolist()) * was < 0.0:
                     return Cut(kink, 1.0, 1.0, -int(np.sign(was)))
         return None
 
@@ -283,7 +284,7 @@ class KinkedStepper(Stepper):
         rounding = SPACINGS * EPS * min(times, default=0.0)
         return max(SPACINGS * EPS * (abs(self.t0) + self.tau), min(rounding, most))
 
-    def _pass(self, cut: Cut, ahead: float, limit: float) -> None:
+    def _pass(self, cut: Cut, ahead: float) -> None:
         """Go on along a parabola until a deciding function has the sign beyond a kink, for some
         time: a step from the same place would meet the same kink. The parabola is that of the
         formula before the kink."""
@@ -300,7 +301,7 @@ class KinkedStepper(Stepper):
                 break
             bend = 0.5 * (later - rate) / ahead if np.isfinite(later).all() else bend
             ahead, more = ahead + more, 2.0 * more
-        ahead = min(ahead, min(limit, self.length) - self.tau)
+        ahead = min(ahead, self.length - self.tau)
         start, self.tau = self.tau, self.tau + ahead
         powers = np.array([x, ahead * rate, ahead * ahead * bend]).T
         self._segment = of_powers(start, self.tau - start, powers)
@@ -315,9 +316,9 @@ class KinkedStepper(Stepper):
     ) -> bool:
         """Whether a flow has, beyond a kink at which it jumps, the formula that it has a little
         later: it may round its own deciding function elsewhere."""
-        if kink.change != "jumps":
-            return True
         speck = self._speck(kink)
+        if kink.change != "jumps" or speck > SHORT_OF * self.seen:  # a flight as short as rounding
+            return True
         later = self._flow(t + speck, x + speck * flow)
         jumps = np.abs(later - before) > HAS_JUMPED * np.maximum(np.abs(later), np.abs(before))
         return bool(np.all(~jumps | (np.abs(later - flow) <= 0.5 * np.abs(later - before))))
