@@ -108,7 +108,7 @@ class Defect:
         """
         from .series import with_terms
 
-        if length <= 64 * EPS * abs(t) or length == 0.0:
+        if length <= 64 * EPS * abs(t):
             return 1.0
         allowed = _allowed(field, t, length, coefficients, lost)
         blurred = 64 * EPS * max(length, abs(t)) / length

@@ -395,14 +395,15 @@ def departure(
 
 def _way(field: Field, t: float, x: StateVector) -> tuple[Matrix, float]:
     """The coefficients of the flow's series at a state, and for how long they hold: half as long as
-    their last terms are rounding. Where there is no series, a parabola for 2^27 roundings."""
+    their last terms are rounding. Where there is no series, a line for 2^27 roundings, by the flow
+    a rounding later."""
     series = expand(field, t, x)
     if series is not None and np.isfinite(c := np.array(series[0])).all():
         return c, 0.5 * unit("lengths").step_length(c, len(x))
     flow = np.array(field.rhs(t, x.tolist()))
-    half = _first_step(t, x, flow) or EPS
-    later = np.array(field.rhs(t + half, (x + half * flow).tolist()))
-    return np.array([x, flow, 0.5 * (later - flow) / half]).T, half * 2.0**MOVES
+    step = _first_step(t, x, flow)
+    later = np.array(field.rhs(t + step, (x + step * flow).tolist()))
+    return np.array([x, later]).T, step * 2.0**MOVES
 
 
 def _first_step(t: float, x: StateVector, flow: Numbers) -> float:

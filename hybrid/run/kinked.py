@@ -316,8 +316,10 @@ class KinkedStepper(Stepper):
     ) -> bool:
         """Whether a flow has, beyond a kink at which it jumps, the formula that it has a little
         later: it may round its own deciding function elsewhere."""
+        if kink.change != "jumps":
+            return True
         speck = self._speck(kink)
-        if kink.change != "jumps" or speck > SHORT_OF * self.seen:  # a flight as short as rounding
+        if speck > SHORT_OF * self.seen:  # a flight as short as rounding
             return True
         later = self._flow(t + speck, x + speck * flow)
         jumps = np.abs(later - before) > HAS_JUMPED * np.maximum(np.abs(later), np.abs(before))
