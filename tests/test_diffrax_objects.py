@@ -83,6 +83,31 @@ def test_objects_with_the_same_numbers_are_one(name):
     assert diffrax_objects.solver_of(cls(), 1e-8, 1e-10, CONSTANT).key != one.key
 
 
+class Throw(hy.Automaton):
+    """A quartic of the time, which methods of order four follow in steps of any length, beside a
+    state that a rate of 1e5 holds to it."""
+
+    x = hy.state()
+    v = hy.state()
+    a = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return s.v, s.a, t - 1.0, -1e5 * (s.w - s.x)
+
+
+@pytest.mark.parametrize("method", ["Kvaerno4", "Kvaerno5", diffrax.Kvaerno5(scan_kind="lax")])
+def test_long_steps_are_exact_between_their_ends(method):
+    """The cubic through their ends alone is 0.2 off: rtol of the largest state, and the lag 1e-5 v
+    of the fast one."""
+    run = hy.simulate(Throw(), [0.0] * 4, (0.0, 3.9), solver="diffrax", method=method, rtol=1e-6)
+    times = np.linspace(0.0, 3.9, 300)
+    exact = times**4 / 24.0 - times**3 / 6.0
+    assert np.abs(run(times).x - exact).max() < 1e-5
+    assert np.abs(run(times).w - exact).max() < 5e-5
+
+
 @pytest.mark.parametrize("method", ["Tsit5", "Kvaerno5", *later(diffrax.Bosh3(), diffrax.Dopri8())])
 def test_steps_made_ahead_are_those_made_one_by_one(method, monkeypatch):
     """To the last bit: jumps, states between them, and what was rejected."""

@@ -50,12 +50,15 @@ DEGREES = {
     "Midpoint": 3,
     "Ralston": 3,
     "Kvaerno3": 3,
-    "Kvaerno4": 3,
-    "Kvaerno5": 3,
+    "Kvaerno4": 4,
+    "Kvaerno5": 4,
 }
 
 #: Degree at which the dense output of other methods is sampled; none in Diffrax has a higher one.
 OTHER_DEGREE = 8
+
+#: Order to which the cubic through the states and slopes at both ends of a step is as exact as it.
+CUBIC = 3
 
 #: Picard sweeps that raise an interpolant to the order of its method.
 SWEEPS = {"Dopri8": 2}
@@ -115,8 +118,9 @@ class DiffraxSolver(Solver):
             key = ("diffrax", name, self.key)
             degree = DEGREES[self.method] if self.known else OTHER_DEGREE
             given = degree, SWEEPS.get(self.method, 0) if self.known else 0
+            halves = self.order > CUBIC and _is_hermite(self.object.interpolation_cls)
             made = field.code.once(
-                key, lambda: StepProgram(self.object, self.controller, field, *given)
+                key, lambda: StepProgram(self.object, self.controller, field, *given, halves)
             )
             self._programs[short] = made
         return self._programs[short]
@@ -196,6 +200,12 @@ def solver_of(method: Any, rtol: float, atol: Any, controller: Any = None) -> So
 def _order(method: Any) -> int:
     """The order of a method, cached because computing it takes longer than a step."""
     return int(method.order(diffrax.ODETerm(lambda t, y, args: y)))
+
+
+def _is_hermite(interpolant: Any) -> bool:
+    """Whether a method's dense output is the cubic through the states and slopes at both ends."""
+    cubic = diffrax.ThirdOrderHermitePolynomialInterpolation
+    return interpolant is cubic or getattr(interpolant, "__self__", None) is cubic
 
 
 @cache
