@@ -32,6 +32,12 @@ SECOND = [name for name in SOLVERS if name not in MECHANISMS]
 #: Diffrax's programs are traced anew for each class, and implicit steps are made in Python.
 COSTLY = {"Dopri8": 0, "diffrax": 0, "Radau": 1}
 
+#: Marks of what ``make test`` leaves to others.
+LEFT_OUT = {"pages", "every_way", "long"}
+
+#: Of so many points of a scan one stays, and one at least of each.
+DEAL = 5
+
 #: Bytes of memory from which on a worker gives back what it no longer needs: two workers of the
 #: suite then fit where there are 8 GB.
 ENOUGH = 2 << 30
@@ -86,9 +92,10 @@ def pytest_configure(config):
     """What XLA compiles is kept, from test to test and from run to run, as the rules are.
 
     What calls back cannot be kept. It is compiled as the package compiles its own programs, in a
-    third of the time; but for ``-m every_way``, which has XLA's settings as a user has them.
+    third of the time; but for what ``make test`` leaves out, which has XLA's settings as a user has
+    them.
     """
-    if config.getoption("markexpr") != "every_way":
+    if not config.getoption("markexpr").startswith("every_way"):
         flags = (f"--{name}={value}" for name, value in XLA_OPTIONS.items())
         os.environ["XLA_FLAGS"] = " ".join((os.environ.get("XLA_FLAGS", ""), *flags))
     jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "xla"))
@@ -116,8 +123,8 @@ def pytest_addoption(parser):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Those that are chosen; and two tests in three leave each costly way to ``-m every_way``,
-    where they are met by one that is not."""
+    """Those that are chosen. Two tests in three leave each costly way to ``-m every_way``, where
+    they are met by one that is not; and of a whole folder scans are dealt."""
     met = defaultdict(set)
     for item in items:
         if not any(item.iter_markers("every_way")):
@@ -127,10 +134,24 @@ def pytest_collection_modifyitems(config, items):
         leaves = way in COSTLY and met[test] - COSTLY.keys() and not _dealt(test, COSTLY[way])
         if leaves and not any(item.iter_markers("each_method")):
             item.add_marker(pytest.mark.every_way)
+    if all(Path(arg).is_dir() for arg in config.args):  # no file, and no test, is asked for
+        _deal(items)
     if chosen := config.getoption("--ways"):
         others = [item for item in items if _way_of(item) not in chosen.split(",")]
         items[:] = [item for item in items if item not in others]
         config.hook.pytest_deselected(items=others)
+
+
+def _deal(items):
+    """Leave most points of each scan to ``-m every_way``: which ones does not depend on others."""
+    scans = defaultdict(list)
+    for item in items:
+        if hasattr(item, "callspec") and not LEFT_OUT & {mark.name for mark in item.iter_markers()}:
+            scans[item.nodeid.partition("[")[0]].append(item)
+    for points in scans.values():
+        points.sort(key=lambda item: crc32(item.nodeid.encode()))
+        for item in points[-(-len(points) // DEAL) :]:
+            item.add_marker(pytest.mark.every_way)
 
 
 def _dealt(test, deal):

@@ -134,6 +134,7 @@ class SuperTwisting(hy.Automaton):
     surface = hy.switching(above, below, surface=lambda self, t, s: s.x)
 
 
+@pytest.mark.long
 def test_steps_that_become_as_short_as_rounding_leave_no_bound_or_a_true_one():
     """The steps of the runs that are compared shrink to nothing at the limit."""
     start, found = {"x": 1.684, "v": 0.274}, []

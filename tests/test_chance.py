@@ -244,6 +244,7 @@ def test_beads_with_random_restitution_come_to_rest_together():
     np.testing.assert_allclose(run.final.v, 0.0, atol=1e-40)  # rounding of the last, 1e-31
 
 
+@pytest.mark.long
 def test_derivatives_take_drawn_restitutions_for_constants():
     """Between the first impact and the second v = r g fall - g tau, and r has slope 1 in least."""
     fall = (2.0 / 9.81) ** 0.5

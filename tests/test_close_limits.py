@@ -164,6 +164,7 @@ CLOSE = (1e-6, 1e-7, 1e-8, -1e-8, 3e-9)
 BODIES = np.random.default_rng(3).uniform([0.3, 0.1], [0.9, 1.0], (2, 2)).tolist()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
 @pytest.mark.parametrize("crossing", [hy.FALLING, hy.EITHER])
 def test_low_flights_between_edges_end_at_their_own_time(crossing, solver):
@@ -175,6 +176,7 @@ def test_low_flights_between_edges_end_at_their_own_time(crossing, solver):
             assert point.t_error < 1e-8  # the order of impacts may not be known to the last
 
 
+@pytest.mark.long
 def test_a_cycle_over_a_floor_off_zero_is_known_to_the_rounding_of_its_guards():
     """The ball strikes while the body is within rounding of its floor at 1: the edge then fires."""
     for later, (r, x) in itertools.product(CLOSE, BODIES):

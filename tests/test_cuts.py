@@ -99,6 +99,7 @@ def test_it_fires_where_the_rules_one_by_one_have_it(name, monkeypatch):
             np.testing.assert_allclose(x, y, rtol=0, atol=off)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
 def test_a_saw_fires_at_all_teeth_on_either_side_of_zero(solver):
     """Down to zero as it comes to one from below, and onto zero from above: once at each."""

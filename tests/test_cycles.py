@@ -496,6 +496,7 @@ def pile(case, **options):
     return hy.simulate(model, [1.0, y, 0.0, 0.0], (0, 5), rtol=1e-11, **options)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("solver", "case"), spread(NAMES, PILES))
 def test_a_pile_on_a_shaking_table(solver, case):
     """Thrown up and at rest again: no bead falls through, whatever the method."""
@@ -655,6 +656,7 @@ class Counted(hy.Automaton):
         return s.replace(n=s.n + 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
 @pytest.mark.parametrize("speed", [0.0, 0.5])
 @pytest.mark.parametrize("height", [0.0, 20.0, -600.0, 900.0])
@@ -692,6 +694,7 @@ class Turning(hy.Automaton):
         return s.replace(n=s.n + 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
 @pytest.mark.parametrize("height", [0.0, 94.5, 253.3, -232.6, -285.0])
 def test_an_event_that_rest_keeps_at_zero_does_not_happen_there(solver, height):
@@ -830,6 +833,7 @@ def geared_limit(g, r, x):
     return u / g[0] + (first + second) / (1.0 - r[0] * r[1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
 def test_what_is_not_known_at_a_limit_is_not_known_behind_it(solver):
     """A ball that is flying at the limit of the other is known there to 2e-13, and its next slow

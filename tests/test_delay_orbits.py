@@ -180,6 +180,7 @@ class Kicked(hy.Automaton):
         return s.replace(v=0.7 * s.v + 0.2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("memory", ["keep", "restart"])
 def test_an_event_is_met_once_a_turn(memory):
     """In iterates, and in an orbit, whose state after the event lies on its guard. With memory that

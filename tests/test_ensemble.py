@@ -371,6 +371,7 @@ def test_the_keyboard_ends_an_ensemble(keyboard):
     assert time.monotonic() - begun < 5.0  # 100,000 lanes would take minutes
 
 
+@pytest.mark.long
 def test_stacked_beads_come_to_rest():
     """Two contacts that close together, again and again: both are at rest when they should be."""
     random, count = np.random.default_rng(5), 16
@@ -387,6 +388,7 @@ def test_stacked_beads_come_to_rest():
     assert modes(exact - 1e-6) <= {"falls", "falls.rest(floor)"}
 
 
+@pytest.mark.long
 def test_a_pile_on_a_shaking_table():
     """Two beads thrown up together, in contact, and at rest again: as runs of their own."""
     columns = dict(zip(("a", "b", "size", "omega", "y"), np.array(systems.PILES).T, strict=True))

@@ -697,6 +697,7 @@ class Wedged(hy.Automaton):
     )
 
 
+@pytest.mark.long
 def test_a_rest_that_leaves_no_freedom_has_derivatives_whatever_was_before():
     """Before it is a limit whose derivative rounding hides."""
     start = {"x": 0.9867257024440133, "y": 0.7496810288958156}

@@ -87,6 +87,7 @@ def test_a_worker_that_dies_costs_its_block(table):
         assert table.identical(hy.sweep(Ball(), **ASKED, executor=pool))
 
 
+@pytest.mark.long
 def test_a_killed_process():
     """A process of a pool that kills itself costs its blocks."""
     assert said_by("killed_pool.py") == "identical"
@@ -128,6 +129,7 @@ def test_what_cannot_be_swept(change, said):
         hy.sweep(Ball(), **{**ASKED, **change})
 
 
+@pytest.mark.long
 def test_dask():
     """A real local cluster, by the executor of its client, as it is. Not in this process: a client
     that has been here leaves it with other last bits than a fresh process has."""
@@ -248,6 +250,7 @@ def test_other_processes_give_the_same(monkeypatch):
     assert answers
 
 
+@pytest.mark.long
 def test_a_killed_sweep_goes_on(table, tmp_path):
     """Killed without notice between or within blocks, twice, and started again."""
     pytest.importorskip("zarr")

@@ -254,6 +254,7 @@ class Bouncing(hy.Automaton):
         return s.replace(v=0.8 * s.v, n=s.n + 1)
 
 
+@pytest.mark.long
 def test_there_is_room_for_every_breaking_point():
     """More than a record has at first room for, many of which the driver adds; nothing forgets
     them, as a lag moves."""

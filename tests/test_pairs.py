@@ -123,6 +123,7 @@ def test_other_methods_are_not_taken_for_a_pair(alongside, options):
     assert len(alongside) == 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("solver", "method"), [PAIRS[4], *later(PAIRS[0])])
 def test_steps_that_become_ever_shorter_are_the_runs(solver, method):
     """Their lane says why there are no more, as the run does."""

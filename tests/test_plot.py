@@ -90,6 +90,7 @@ def test_words_about_many_accumulations_are_few(monkeypatch):
     assert len(run.explain(whole=True).splitlines()) == len(run.zeno) + 2
 
 
+@pytest.mark.long
 def test_a_page_that_zooms(tmp_path):
     """The same curves, in one file that asks nothing of a network."""
     run = hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 7))

@@ -116,6 +116,7 @@ def test_the_lowest_flights_keep_their_energy(way):
     np.testing.assert_allclose(speeds[1:] / speeds[:-1], 0.8, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_the_limit_of_impacts_without_a_sum_says_how_far_it_may_be_off():
     point = hy.simulate(Dragged(), [1.0, 0.0], (0, 5), solver="taylor").zeno[0]
     assert abs(point.t - LIMITS[1.5, 0.3]) <= point.t_error < 1e-11

@@ -96,6 +96,7 @@ def squares():
     return square
 
 
+@pytest.mark.long
 def test_all_answer_together(crew, monkeypatch):
     """Each number once, by more than one process; two are started."""
     monkeypatch.setattr(processes, "cores", lambda: 3)
@@ -121,6 +122,7 @@ def test_few_calls_are_made_here(monkeypatch):
     assert len(dict(shared.answers())) == 20
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("model", "start", "t", "options"),
     [

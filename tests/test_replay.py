@@ -146,6 +146,7 @@ class Lifted(hy.Automaton):
     floor = hy.contact(fly, gap=lambda self, t, s: s.x - self.rise * t**2, restitution=0.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("start", [0.0, 1.0])
 def test_second_derivatives_through_rest_and_release(start):
     """At rest from the start on, or once it has landed: it lifts off at (g + 2 rise) / lift."""
@@ -190,6 +191,7 @@ def test_second_derivatives_inside_a_scan():
     np.testing.assert_allclose(*found, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_second_derivatives_of_many_runs_at_once():
     """Forward and reverse over the gradient of a sum of runs: the sum of what each has."""
     rows = np.array([AT, 1.01 * AT])
@@ -205,6 +207,7 @@ def test_second_derivatives_of_many_runs_at_once():
 # many parameters
 
 
+@pytest.mark.long
 def test_gradients_by_many_weights_are_those_of_the_first_variation(monkeypatch):
     """Values to the last bit, gradients to rounding: of a network's weights, of runs at once."""
     cls, weights = neural.learner(3)
@@ -224,6 +227,7 @@ def test_a_network_learns_a_force_from_impacts():
     assert nearer < 0.5 * off
 
 
+@pytest.mark.long
 def test_with_many_parameters_accumulations_have_first_derivatives(monkeypatch):
     """One of three runs accumulates: its gradient is that of the first variation."""
     rows, found = np.array([AT, 1.01 * AT, [0.3, 9.81, 1.0]]), []

@@ -134,6 +134,7 @@ print(unit.halved(6.0))
 """
 
 
+@pytest.mark.long
 def test_what_a_unit_calls_is_compiled_in_a_process_of_its_own(toy):
     """One line is said; the file that is called is a unit of its own afterwards."""
     (toy / "toy" / "top.py").write_text(TOP)
@@ -145,6 +146,7 @@ def test_what_a_unit_calls_is_compiled_in_a_process_of_its_own(toy):
     assert done(started(toy)) == ("0.75", "")
 
 
+@pytest.mark.long
 def test_units_that_are_needed_together_are_compiled_together(toy):
     """The one that was not asked for is loaded without a word."""
     (toy / "toy" / "top.py").write_text(TOP)
@@ -172,6 +174,7 @@ def test_an_error_in_a_process_beside_is_raised(toy):
     assert {path.stem for path in (toy / "cache").rglob("*.built")} <= {"low"}
 
 
+@pytest.mark.long
 def test_without_processes_one_compiles_all(toy):
     """Where none can be started, and in a temporary folder, all is compiled all the same."""
     (toy / "toy" / "top.py").write_text(TOP)
@@ -183,6 +186,7 @@ def test_without_processes_one_compiles_all(toy):
     assert (out, err.count("compiling"), err.count("UserWarning")) == ("1.5", 1, 1)
 
 
+@pytest.mark.long
 def test_everything_is_built_at_once(toy):
     """Each unit is then loaded without a word."""
     (toy / "toy" / "top.py").write_text(TOP)

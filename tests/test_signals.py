@@ -240,6 +240,7 @@ def test_a_limit_behind_a_knot_is_known_to_the_rounding_there(solver, height, r,
     assert point.enclosure is None or point.enclosure[0] <= limit <= point.enclosure[1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
 def test_a_limit_behind_a_knot_at_zero_is_known_as_if_there_were_none(solver):
     """The ball has been at 4.6, whose rounding is far more than the gap is at the knot."""
