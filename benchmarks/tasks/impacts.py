@@ -29,6 +29,9 @@ CHAOTIC, SOME, FEW = 10_000, 1_000, 100
 #: Impacts that are compared where the motion is chaotic: later ones say nothing.
 COMPARED = {"chaotic_table": 5, "duffing": 20}
 
+#: Tolerances of what is chaotic: between two of the usual ones an error asked for may lie.
+FINER = 1e-6, 1e-9, 1e-12, 1e-13, None
+
 #: What flies as many impacts as are asked for; the others fly a few.
 FAST = ("heyoka_events", "numba_taylor", "taylor")
 
@@ -200,5 +203,6 @@ def task(name, quick):
         wanted=1e-10 if chaotic else 1e-9,
         ways=ours(model, motions) | peers(motions),
         judge=judge,
+        **({"tolerances": FINER} if chaotic else {}),
         floor=lambda: floor_of(model, whole),
     )
