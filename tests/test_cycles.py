@@ -109,6 +109,35 @@ class LateInflow(TwoTanks):
         return 0.5 * (1.0 + jnp.tanh(2e3 * (t - self.at)))
 
 
+class Draining(TwoTanks):
+    """The inflow grows once what is left in both is ``least``."""
+
+    least: float = hy.parameter(1e-8)
+
+    @hy.mode(initial=True)
+    def fills_first(self, t, s):
+        return self.more(s) - self.v1, -self.v2
+
+    @hy.mode
+    def fills_second(self, t, s):
+        return -self.v1, self.more(s) - self.v2
+
+    def more(self, s):
+        return jnp.where(s.x1 + s.x2 > self.least, self.w, 1.9)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_a_law_that_has_changed_is_no_power_of_the_turns(solver):
+    """Shortly before a limit durations fall by another ratio. All in all they then seem to fall
+    like a power, and the bound was half of what that was off."""
+    for least, w in np.random.default_rng(5).uniform([-8.5, 1.6], [-7.5, 1.85], (8, 2)).tolist():
+        model, start = Draining(least=10**least, w=w, r1=0.0, r2=0.0), {"x1": 1.0, "x2": 0.5}
+        run = hy.simulate(model, start, (0.0, 30.0), solver=solver)
+        exact = (1.5 - model.least) / (2.0 - w) + model.least / 0.1
+        (point,) = run.zeno
+        assert abs(point.t - exact) <= point.t_error < 1e-7
+
+
 class Twisting(hy.Automaton):
     """``x'' = -2 sign x - sign x'`` (Levant 1993): the origin after finitely much time."""
 

@@ -244,6 +244,64 @@ def test_a_tank_runs_empty_in_finite_time(outflow, way):
     assert abs(run.jumps[0].t - 2.0) < allowed
 
 
+class Drained(hy.Automaton):
+    """A tank that runs empty by a root of its level, beside one that goes on."""
+
+    h = hy.state()
+    y = hy.state()
+    k: float = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def drains(self, t, s):
+        return -self.k * jnp.sqrt(jnp.maximum(s.h, 0.0)), -s.y
+
+    @hy.mode
+    def empty(self, t, s):
+        return 0.0, -s.y
+
+    out = hy.edge(drains, to=empty, guard=lambda self, t, s: s.h)
+
+
+@pytest.mark.parametrize("way", ["taylor", "DOP853", "Dopri8"])
+def test_a_tank_runs_empty_beside_what_goes_on(way):
+    """What is left of its level is rounding of the other state: the edge was missed, or fired
+    seconds late. At its end the level falls like the square of the time left."""
+    for k, h in np.random.default_rng(0).uniform([0.3, 0.1], [3.0, 3.0], (12, 2)).tolist():
+        exact = 2.0 * np.sqrt(h) / k
+        start = {"h": h, "y": 1.0}
+        run = hy.simulate(Drained(k=k), start, (0.0, exact + 1.0), rtol=1e-9, **SOLVERS[way])
+        allowed = 1e-9 if way == "taylor" else 1e-4 / k
+        assert run.mode == "empty"
+        assert abs(run.jumps[0].t - exact) < allowed
+        assert not run.grazings
+
+
+class Decays(hy.Automaton):
+    """A level that comes to zero never, or touches it and turns back."""
+
+    h = hy.state()
+    y = hy.state()
+
+    @hy.mode(initial=True)
+    def flow(self, t, s):
+        return -s.h, 2.0 * (t - 1.0)
+
+    @hy.mode
+    def beyond(self, t, s):
+        return 0.0, 0.0
+
+    never = hy.edge(flow, to=beyond, guard=lambda self, t, s: s.h)
+    touches = hy.edge(flow, to=beyond, guard=lambda self, t, s: s.y)
+
+
+@pytest.mark.parametrize("way", ["taylor", "DOP853", "Dopri8"])
+def test_what_fades_or_turns_back_does_not_run_empty(way):
+    """exp(-t) to t = 60, far below rounding of 1; (t - 1)^2."""
+    run = hy.simulate(Decays(), {"h": 1.0, "y": 1.0}, (0.0, 60.0), **SOLVERS[way])
+    assert run.mode == "flow"
+    assert not run.jumps
+
+
 @pytest.mark.parametrize("outflow", ["held at zero", "by cases"])
 def test_an_empty_tank_stays_empty(outflow):
     """Without an edge the run goes on at rest; what flows in beside it does not end."""

@@ -59,6 +59,10 @@ if TYPE_CHECKING:
 #: A step spans at most this many time scales of a guard that is not a polynomial of the state.
 REACH = 8.0
 
+#: A guard that has touched zero and turns back by the fourth power of the time has left it, by more
+#: than rounding, after this share of the arc.
+AT_REST = 1e-3
+
 #: A kink that a landed step has elsewhere than dense output is as near as this share of the step:
 #: far above what a solver's dense output is off.
 KINK_MOVES = 1e-3
@@ -152,6 +156,7 @@ class ArcFlow:
         self.left: set[int] = set()
         self.predicted: set[int] = set()
         self.turning: dict[int, Zero] = {}
+        self.touching: dict[int, Zero] = {}
         self.made = 0
 
     def run(self) -> Flown:
@@ -581,12 +586,14 @@ class ArcFlow:
                     return Fired(index, zero.tau, zero.direction, zero.cut)
             elif zero.direction == 0:
                 grazes.append((zero.tau, index))
+                self.touching.setdefault(index, zero)
             elif shallow is not None and zero.direction != shallow.direction:  # the way back
                 shallow, over = None, shallow
             elif not self._holds(guard, zero.tau, segment, end):
                 continue
             elif (passes or not guard.jumps) and self._touches(guard, zero, segment):
                 grazes.append((zero.tau, index))
+                self.touching.setdefault(index, zero)
                 shallow = zero
             elif passes:
                 return Fired(index, zero.tau, zero.direction)
@@ -595,9 +602,12 @@ class ArcFlow:
                 noise = self._rounding(index, self.now.t + segment.end, end.tolist())
                 if abs(self.ends[guard.edge]) <= noise:
                     self.turning[index] = over
-            return None
-        deep = self.ends[guard.edge] * shallow.direction
-        if deep <= tolerance and not (deep >= 0.0 and self._stays(guard, shallow, segment, end)):
+            return self._run_out(index, segment, end, grazes)
+        deep, tau = self.ends[guard.edge] * shallow.direction, max(shallow.tau, segment.start)
+        if 0.0 <= deep <= tolerance and self._stays(guard, shallow, segment, end):
+            tau = self._came(guard, tau, segment)
+            self._no_grazes(index, tau, grazes)
+        elif deep <= tolerance:
             if abs(deep) <= tolerance:
                 self.turning[index] = shallow
             return None
@@ -605,7 +615,64 @@ class ArcFlow:
             grazes.remove((shallow.tau, index))
         if not fires(guard.crossing, shallow.direction):
             return None
-        return Fired(index, max(shallow.tau, segment.start), shallow.direction)
+        return Fired(index, tau, shallow.direction)
+
+    def _run_out(
+        self,
+        index: int,
+        segment: Segment,
+        end: StateVector,
+        grazes: list[tuple[float, int]],
+    ) -> Fired | None:
+        """An edge whose guard has touched zero, in this step or before, and stays there but for
+        rounding: it may come to rest so close to zero that it is not seen to cross it (1)."""
+        guard, touch = self.field.guards[index], self.touching.get(index)
+        if touch is None or guard.kind != "edge":
+            return None
+        value, noise = self.ends[guard.edge], self._noise_of(guard)
+        if abs(value) > noise:
+            del self.touching[index]
+            return None
+        side = self._inside(index)
+        begin = self._came(guard, max(touch.tau, segment.start), segment)
+        if not (value * side >= 0.0 and self._rests(guard, begin, segment, end, noise)):
+            return None
+        if not self._holds(guard, begin, segment, end):
+            return None
+        self._no_grazes(index, begin, grazes)
+        return Fired(index, begin, -side)
+
+    def _no_grazes(self, index: int, tau: float, grazes: list[tuple[float, int]]) -> None:
+        """Strike out where a guard seemed to touch zero that has come to stay there at a time."""
+        since = min(tau, self.touching[index].tau if index in self.touching else tau)
+        grazes[:] = [graze for graze in grazes if graze[1] != index]
+        self.grazes = [graze for graze in self.grazes if graze[1] != index or graze[0] < since]
+
+    def _came(self, guard: Guard, tau: float, segment: Segment) -> float:
+        """When a guard that is zero at a time, and stays so, has come there. Where it is within
+        rounding of zero all along a step, rounding decides where it is zero; it comes there, by a
+        root, as soon as its value and its rate at the start say."""
+        begin, noise = segment(segment.start), self._noise_of(guard)
+        value, rate, _ = guard.lie(self.now.t + segment.start, begin.tolist())
+        if abs(value) > noise or abs(rate) * (tau - segment.start) > noise:
+            return tau
+        return min(tau, segment.start + (2.0 * abs(value / rate) if rate else 0.0))
+
+    def _noise_of(self, guard: Guard) -> float:
+        """The rounding of a guard that has been as large as it was in this arc."""
+        return GUARD_ROUNDING * EPS * self.ends.get(("largest", guard.edge), 0.0)
+
+    def _rests(
+        self, guard: Guard, begin: float, segment: Segment, end: StateVector, noise: float
+    ) -> bool:
+        """Whether a guard that has come to zero moves by no more than rounding to the end of a
+        step, for so long that one that turns back would have shown it."""
+        way, middle = segment.end - begin, 0.5 * (begin + segment.end)
+        places = (middle, segment(middle).tolist()), (segment.end, end.tolist())
+        rates = [guard.lie(self.now.t + tau, x)[1] for tau, x in places]
+        bend = guard.lie(self.now.t + begin, segment(begin).tolist())[2]
+        shows = way >= AT_REST * begin or not 0.5 * abs(bend) * way * way <= noise
+        return shows and all(abs(rate) * way <= noise for rate in rates)
 
     def _at_start(self, zero: Zero) -> bool:
         """Whether a zero is where the arc begins: a guard that has jumped comes back over the

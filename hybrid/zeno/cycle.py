@@ -49,6 +49,10 @@ RAABE = 1.1
 #: Growth of Raabe's quantity above which durations are taken to fall like a power.
 RAABE_GROWTH = 0.05
 
+#: The most of that growth in one turn, in mean ones: where it is more, another law has begun, and
+#: too few turns are known of it.
+STEADY = 4.0
+
 #: Most terms of Levin's transformation, and the ratio of the indices of successive terms used.
 TERMS, THIN = 12, 0.7
 
@@ -175,18 +179,18 @@ def _limit(
 ) -> CycleLimit | int | None:
     """As :func:`limit`, by one law; where another has begun at some turn, the place of that turn.
     ``elapsed``: the time since the first of all turns."""
-    durations, first = np.diff(times), 0
+    durations, first, growth, most = np.diff(times), 0, 0.0, 0.0
     turns = _fast(durations)
     if turns >= FEW_TURNS:
-        first, growth = len(durations) - turns, 0.0
+        first = len(durations) - turns
         times, states = times[first:], states[first:]
     elif len(durations) >= LEAST_CYCLES:
-        growth = _raabe(durations)
+        growth, most = _raabe(durations)
     else:
         return None
-    if not growth < 1.0 / RAABE:
-        return None
     power = growth > RAABE_GROWTH
+    if not growth < 1.0 / RAABE or (power and most > STEADY * growth):
+        return None
     columns, others = np.column_stack([times, states]), [1 + i for i in beside]
     for closely in False, True:
         now, error, scale = accelerated(columns, power, others, closely)
@@ -263,11 +267,12 @@ def _fast(durations: Numbers) -> int:
     return len(durations) - (int(slow[-1]) + 1 if len(slow) else 0)
 
 
-def _raabe(durations: Numbers) -> float:
-    """Growth per cycle of ``1 / (a_{k-1}/a_k - 1)``, over the last half of the cycles."""
+def _raabe(durations: Numbers) -> tuple[float, float]:
+    """Growth per cycle of ``1 / (a_{k-1}/a_k - 1)``, over the last half of the cycles: its mean,
+    and the most."""
     own = 1.0 / (durations[:-1] / durations[1:] - 1.0)
-    half = len(own) // 2
-    return float((own[-1] - own[half]) / (len(own) - 1 - half))
+    grown = np.diff(own[len(own) // 2 :])
+    return float(grown.mean()), float(grown.max())
 
 
 def _accelerated(sequence: Numbers, power: bool) -> tuple[float, float]:
