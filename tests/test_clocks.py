@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.functions.function import REASONS
 
 from .contract.ways import WAYS
 from .systems import Shelf, without_loop
@@ -608,3 +609,59 @@ def test_a_clock_that_does_not_fire_shortly_before_a_limit_is_in_its_bound(solve
     exact = np.sqrt(fall / 5.0) * (1.0 + ratio) / (1.0 - ratio)
     assert abs(point.t - exact) <= point.t_error < 1e-4
     assert run.final.rings == 0
+
+
+class Counting(hy.Automaton):
+    """Counts by a period and at two times."""
+
+    n = hy.discrete(0)
+    period: float = hy.parameter(0.4)
+    first: float = hy.parameter(0.5)
+    second: float = hy.parameter(1.5)
+    share: float = hy.parameter(0.5, between=(0, 1))
+    x = hy.state()
+
+    @hy.mode(initial=True)
+    def flow(self, t, s):
+        return self.share
+
+    @hy.edge(flow, every="period")
+    def tick(self, t, s):
+        return s.replace(n=s.n + 10)
+
+    @hy.edge(flow, at=("first", "second"))
+    def bell(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{"period": 0.0}, {"period": np.nan}, {"first": np.nan}, {"first": 2.0}, {"share": 2.0}],
+    ids=str,
+)
+def test_parameters_that_are_traced_are_refused_as_others(given):
+    """A function cannot raise under jit: its status says that the run failed. Their clocks did not
+    ring, without a word."""
+    count = hy.as_function(Counting(), t=(0.0, 4.0), max_jumps=100)
+
+    def status(value):
+        return count(Counting(**dict.fromkeys(given, value)), {"x": 1.0}).status
+
+    (value,) = given.values()
+    with jax.enable_x64(True):
+        assert REASONS[int(jax.jit(status)(value))][0] == "failed"
+    with pytest.raises(hy.ParameterError):
+        hy.simulate(Counting(**given), {"x": 1.0}, (0.0, 4.0))
+
+
+def test_the_times_of_a_clock_increase_in_every_lane():
+    """They were compared at the least and the greatest of all lanes alone."""
+    given = {"first": np.array([0.5, 2.0, 0.1]), "second": np.array([1.0, 1.5, 3.0])}
+    with pytest.raises(hy.ParameterError, match=r"at=.* has 1.5 after 2.0"):
+        hy.ensemble(Counting(), {"x": 1.0}, (0.0, 4.0), given)
+    given["first"][1] = 1.2
+    assert hy.ensemble(Counting(), {"x": 1.0}, (0.0, 4.0), given).n.values.tolist() == [
+        102,
+        102,
+        102,
+    ]

@@ -276,6 +276,29 @@ def test_a_tank_runs_empty_beside_what_goes_on(way):
         assert not run.grazings
 
 
+class Bare(hy.Automaton):
+    """A tank whose flow has no value beyond empty."""
+
+    h = hy.state()
+    k: float = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def drains(self, t, s):
+        return -self.k * jnp.sqrt(s.h)
+
+    empty = hy.mode(lambda self, t, s: 0.0)
+    out = hy.edge(drains, to=empty, guard=lambda self, t, s: s.h)
+
+
+def test_a_flow_that_ends_at_empty_ends_there():
+    """Where rounding puts the last step just beyond, no step follows: a third of these raised."""
+    for k, h in np.random.default_rng(1).uniform([0.3, 0.1], [3.0, 3.0], (20, 2)).tolist():
+        exact = 2.0 * np.sqrt(h) / k
+        run = hy.simulate(Bare(k=k), {"h": h}, (0.0, exact + 1.0), solver="taylor", rtol=1e-9)
+        assert run.mode == "empty"
+        assert abs(run.jumps[0].t - exact) < 1e-9
+
+
 class Decays(hy.Automaton):
     """A level that comes to zero never, or touches it and turns back."""
 

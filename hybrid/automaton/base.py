@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import attrs
@@ -161,6 +161,22 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
     __init__.__doc__ = f"Parameters of {cls.__name__}: {', '.join(fields)}."
     cls.__init__ = __init__  # type: ignore[misc]
     cls.__setattr__ = refusals.unchanging  # type: ignore[assignment]
+
+
+def require_values(cls: Any, values: Sequence[Any]) -> None:
+    """Refuse numbers for the parameters of a class as its constructor does.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter, or the times of a clock, cannot have them.
+    """
+    names = [parameter.name for parameter in cls.spec.parameters]
+    model, fields = trace.instance(cls, names, values), attrs.fields_dict(cls)
+    for name, value in zip(names, values, strict=True):
+        if fields[name].validator is not None:
+            fields[name].validator(model, fields[name], value)
+    require_clocks(model, cls.spec)
 
 
 class _Traced:

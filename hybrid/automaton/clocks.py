@@ -66,6 +66,23 @@ def require_clocks(model: Any, spec: Spec) -> None:
                 raise ParameterError(f"{spec.model}, edge {edge.name}: {fault}")
 
 
+def disordered(spec: Spec, values: dict[str, Any]) -> int | None:
+    """The first lane in which a clock's times do not increase; None if they do in all.
+
+    ``values``: those of each parameter, one, or one for each lane.
+    """
+    for edge in spec.transitions:
+        if isinstance(edge, ClockSpec) and edge.times.at is not None:
+            each = [values[g] if isinstance(g, str) else g for g in _given(edge.times)]
+            rows = [one for one in each if np.ndim(one) == 2]
+            if rows or (len(each) > 1 and all(np.ndim(one) <= 1 for one in each)):
+                times = rows[0] if rows else np.column_stack(np.broadcast_arrays(*each))
+                wrong = np.flatnonzero(~np.all(np.diff(times) > 0.0, axis=1))
+                if len(wrong):
+                    return int(wrong[0])
+    return None
+
+
 def first_after(times: Times) -> Callable[..., Any]:
     """A model function: the first firing time after ``t``, infinite if there is none.
 

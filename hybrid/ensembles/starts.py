@@ -11,6 +11,7 @@ import attrs
 import numpy as np
 
 from ..automaton.chance import STREAM, has_stream
+from ..automaton.clocks import disordered
 from ..automaton.discrete import misfit
 from ..automaton.reals import reals, short
 from ..automaton.record import Record
@@ -195,6 +196,15 @@ def _check(model: Any, given: dict[str, Any]) -> None:
         raise OptionError(f"{spec.model}: parameters: it has no {unknown[0]!r}; there are: {known}")
     for extreme in (np.min, np.max):
         attrs.evolve(model, **{name: _end(spec, name, v, extreme) for name, v in given.items()})
+    scalars = {p.name: getattr(model, p.name) for p in spec.parameters} | given
+    lane = disordered(spec, scalars) if _side_by_side(given) else None
+    if lane is not None:
+        attrs.evolve(model, **{n: v[lane] if np.ndim(v) else v for n, v in given.items()})
+
+
+def _side_by_side(given: dict[str, Any]) -> bool:
+    """Whether values that differ from lane to lane are as many; others are refused later."""
+    return len({len(v) for v in given.values() if np.ndim(v) == 1}) <= 1
 
 
 def _end(spec: Spec, name: str, value: Any, extreme: Any) -> Any:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.base import require_values
 from ..automaton.signals import Samples
 from ..delay.hindsight import Hindsight
 from ..delay.history import from_start
@@ -167,6 +168,7 @@ class Runs:
         scene = scene_with(self.cls, self.shapes, tuple(values[:count]), self.samples)
         driver, status = None, ""
         try:
+            require_values(self.cls, scene.values)
             driver = attrs.evolve(self.asked, save=save).driver(scene, (t0, t1), x, self.history)
             driver.run(self.mode, x)
         except HybridError as fault:

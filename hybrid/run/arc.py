@@ -401,10 +401,16 @@ class ArcFlow:
 
     def _at_border(self, stepper: Stepper, tau: float, x: StateVector) -> Fired | None:
         """The edge that fires where the flow ends, if there is one, as no step can be made from a
-        state; it is moved to the edge's zero."""
+        state; it is moved to the edge's zero, unless rounding has put it beyond that already."""
         t = self.now.t + tau
         found = leaving(self.field, t, x)
         if found is None:
+            for index in sorted(self.turning.keys() | self.touching.keys()):
+                guard = self.field.guards[index]
+                value, noise = guard.value(t, x.tolist()), self._noise_of(guard)
+                if guard.kind == "edge" and abs(value) <= noise and guard.holds(t, x.tolist()):
+                    self._no_grazes(index, tau, [])
+                    return Fired(index, tau, -self._inside(index))
             return None
         index, direction, ahead = found
         stepper.tau = tau + ahead

@@ -36,7 +36,9 @@ def leaving(field: Field, t: float, x: StateVector) -> tuple[int, int, float] | 
         return None
     for index, guard in enumerate(field.guards):
         value, rate, _ = guard.lie(t, x.tolist())
-        left, direction = -value / rate if rate else np.inf, int(np.sign(rate))
+        if not isfinite(rate) or rate == 0.0:
+            continue
+        left, direction = -value / rate, int(np.sign(rate))
         at_zero = abs(left) <= near and fires(guard.crossing, direction)
         if at_zero and guard.holds(t, x.tolist()):
             return index, direction, left
