@@ -174,8 +174,9 @@ def require_values(cls: Any, values: Sequence[Any]) -> None:
     names = [parameter.name for parameter in cls.spec.parameters]
     model, fields = trace.instance(cls, names, values), attrs.fields_dict(cls)
     for name, value in zip(names, values, strict=True):
-        if fields[name].validator is not None:
-            fields[name].validator(model, fields[name], value)
+        check = fields[name].validator
+        if check is not None:
+            check(model, fields[name], value)
     require_clocks(model, cls.spec)
 
 
