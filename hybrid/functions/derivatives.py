@@ -168,7 +168,7 @@ class Runs:
         scene = scene_with(self.cls, self.shapes, tuple(values[:count]), self.samples)
         driver, status = None, ""
         try:
-            require_values(self.cls, scene.values)
+            require_values(self.cls, scene.values[: len(self.shapes)])
             driver = attrs.evolve(self.asked, save=save).driver(scene, (t0, t1), x, self.history)
             driver.run(self.mode, x)
         except HybridError as fault:

@@ -61,7 +61,7 @@ REACH = 8.0
 
 #: A guard that has touched zero and turns back by the fourth power of the time has left it, by more
 #: than rounding, after this share of the arc.
-AT_REST = 1e-3
+SHOWN_BY = 1e-3
 
 #: A kink that a landed step has elsewhere than dense output is as near as this share of the step:
 #: far above what a solver's dense output is off.
@@ -677,7 +677,7 @@ class ArcFlow:
         places = (middle, segment(middle).tolist()), (segment.end, end.tolist())
         rates = [guard.lie(self.now.t + tau, x)[1] for tau, x in places]
         bend = guard.lie(self.now.t + begin, segment(begin).tolist())[2]
-        shows = way >= AT_REST * begin or not 0.5 * abs(bend) * way * way <= noise
+        shows = way >= SHOWN_BY * begin or not 0.5 * abs(bend) * way * way <= noise
         return shows and all(abs(rate) * way <= noise for rate in rates)
 
     def _at_start(self, zero: Zero) -> bool:

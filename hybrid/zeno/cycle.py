@@ -51,7 +51,7 @@ RAABE_GROWTH = 0.05
 
 #: The most of that growth in one turn, in mean ones: where it is more, another law has begun, and
 #: too few turns are known of it.
-STEADY = 4.0
+STEADY_GROWTH = 4.0
 
 #: Most terms of Levin's transformation, and the ratio of the indices of successive terms used.
 TERMS, THIN = 12, 0.7
@@ -189,7 +189,7 @@ def _limit(
     else:
         return None
     power = growth > RAABE_GROWTH
-    if not growth < 1.0 / RAABE or (power and most > STEADY * growth):
+    if not growth < 1.0 / RAABE or (power and most > STEADY_GROWTH * growth):
         return None
     columns, others = np.column_stack([times, states]), [1 + i for i in beside]
     for closely in False, True:
