@@ -647,9 +647,18 @@ def test_parameters_that_are_traced_are_refused_as_others(given):
     def status(value):
         return count(Counting(**dict.fromkeys(given, value)), {"x": 1.0}).status
 
-    (value,) = given.values()
+    (name,), (value,) = given, given.values()
     with jax.enable_x64(True):
         assert REASONS[int(jax.jit(status)(value))][0] == "failed"
+        fits = getattr(Counting(), name)
+        many = jax.vmap(status)(jnp.array([fits, value, fits, fits, value]))
+        assert [REASONS[k][0] == "failed" for k in many.tolist()] == [
+            False,
+            True,
+            False,
+            False,
+            True,
+        ]
     with pytest.raises(hy.ParameterError):
         hy.simulate(Counting(**given), {"x": 1.0}, (0.0, 4.0))
 

@@ -196,15 +196,12 @@ def _check(model: Any, given: dict[str, Any]) -> None:
         raise OptionError(f"{spec.model}: parameters: it has no {unknown[0]!r}; there are: {known}")
     for extreme in (np.min, np.max):
         attrs.evolve(model, **{name: _end(spec, name, v, extreme) for name, v in given.items()})
-    scalars = {p.name: getattr(model, p.name) for p in spec.parameters} | given
-    lane = disordered(spec, scalars) if _side_by_side(given) else None
+    own = {p.name: getattr(model, p.name) for p in spec.parameters}
+    varied = {name: v for name, v in given.items() if np.ndim(v) > np.ndim(own[name])}
+    alike = len({len(v) for v in varied.values()}) == 1  # others are refused later
+    lane = disordered(spec, own | given) if alike else None
     if lane is not None:
-        attrs.evolve(model, **{n: v[lane] if np.ndim(v) else v for n, v in given.items()})
-
-
-def _side_by_side(given: dict[str, Any]) -> bool:
-    """Whether values that differ from lane to lane are as many; others are refused later."""
-    return len({len(v) for v in given.values() if np.ndim(v) == 1}) <= 1
+        attrs.evolve(model, **(given | {name: v[lane] for name, v in varied.items()}))
 
 
 def _end(spec: Spec, name: str, value: Any, extreme: Any) -> Any:

@@ -80,7 +80,7 @@ def _fly_together(
     runs: Runs, rows: Matrix, numbers: Matrix, ints: IntegerMatrix, done: Mask
 ) -> None:
     """Fly the rows that do not need a driver; write their results, and mark them as done."""
-    fit = np.flatnonzero(_valid(rows))
+    fit = np.flatnonzero(_valid(runs, rows))
     together = _flier(runs, rows[fit], Abreast) if len(fit) else None
     if together is None:
         return
@@ -90,9 +90,14 @@ def _fly_together(
         done[which] = True
 
 
-def _valid(rows: Matrix) -> Mask:
-    """Which rows are finite and have a last time after the first."""
+def _valid(runs: Runs, rows: Matrix) -> Mask:
+    """Which rows are finite, have a last time after the first, and parameters that the model takes:
+    these have bounds, so it is asked about the least and the greatest first."""
     fit: np.ndarray = np.isfinite(rows).all(axis=1) & (rows[:, -1] > rows[:, -2])
+    given = rows[fit, : -2 - runs.layout.size]
+    bounded = len(given) > 1 and not runs.timed
+    if not (bounded and all(map(runs.takes, (given.min(axis=0), given.max(axis=0))))):
+        fit[fit] = [runs.takes(values) for values in given]
     return fit
 
 
@@ -160,7 +165,7 @@ class Gradients:
         ints = np.full((len(flat), layout.rows + 2), -1)
         slopes = np.full((*numbers.shape, flat.shape[1]), np.nan)
         left = np.ones(len(flat), dtype=bool)
-        fit = np.flatnonzero(_valid(flat))
+        fit = np.flatnonzero(_valid(self.runs, flat))
         together = self.together(flat[fit]) if len(fit) else None
         if together is not None:
             for flown, found in together.changes():

@@ -21,7 +21,7 @@ from ..automaton.base import require_values
 from ..automaton.signals import Samples
 from ..delay.hindsight import Hindsight
 from ..delay.history import from_start
-from ..errors import HybridError, OrbitError
+from ..errors import HybridError, OrbitError, ParameterError
 from ..lowering import Scene, scene_with
 from ..replay import Itinerary, blank, laws_of, plan_of
 from ..run import Driver
@@ -154,6 +154,20 @@ class Runs:
         run = self._flown(row, "dense")
         plan, fault = run.planned()
         return *run.numbers(), np.array(fault is None), *plan
+
+    @property
+    def timed(self) -> bool:
+        """Whether parameters are the times of a clock, which are to increase."""
+        return any(clock.times.at is not None for clock in self.cls.spec.clocks)
+
+    def takes(self, values: Numbers) -> bool:
+        """Whether the model takes parameters of these values."""
+        scene = scene_with(self.cls, self.shapes, tuple(values.tolist()), self.samples)
+        try:
+            require_values(self.cls, scene.values[: len(self.shapes)])
+        except ParameterError:
+            return False
+        return True
 
     @property
     def room(self) -> int:
