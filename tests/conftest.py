@@ -143,7 +143,7 @@ def pytest_collection_modifyitems(config, items):
 
 
 def _deal(items):
-    """Leave most points of each scan to ``-m every_way``: which ones does not depend on others."""
+    """Leave most points of each scan to ``-m every_way``: those of the highest hashes of names."""
     scans = defaultdict(list)
     for item in items:
         if hasattr(item, "callspec") and not LEFT_OUT & {mark.name for mark in item.iter_markers()}:

@@ -652,13 +652,8 @@ def test_parameters_that_are_traced_are_refused_as_others(given):
         assert REASONS[int(jax.jit(status)(value))][0] == "failed"
         fits = getattr(Counting(), name)
         many = jax.vmap(status)(jnp.array([fits, value, fits, fits, value]))
-        assert [REASONS[k][0] == "failed" for k in many.tolist()] == [
-            False,
-            True,
-            False,
-            False,
-            True,
-        ]
+    refused = [lane for lane, k in enumerate(many.tolist()) if REASONS[k][0] == "failed"]
+    assert refused == [1, 4]
     with pytest.raises(hy.ParameterError):
         hy.simulate(Counting(**given), {"x": 1.0}, (0.0, 4.0))
 
@@ -669,8 +664,5 @@ def test_the_times_of_a_clock_increase_in_every_lane():
     with pytest.raises(hy.ParameterError, match=r"at=.* has 1.5 after 2.0"):
         hy.ensemble(Counting(), {"x": 1.0}, (0.0, 4.0), given)
     given["first"][1] = 1.2
-    assert hy.ensemble(Counting(), {"x": 1.0}, (0.0, 4.0), given).n.values.tolist() == [
-        102,
-        102,
-        102,
-    ]
+    lanes = hy.ensemble(Counting(), {"x": 1.0}, (0.0, 4.0), given)
+    assert lanes.n.values.tolist() == [102] * 3

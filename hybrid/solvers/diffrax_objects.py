@@ -117,10 +117,11 @@ class DiffraxSolver(Solver):
         if short not in self._programs:
             key = ("diffrax", name, self.key)
             degree = DEGREES[self.method] if self.known else OTHER_DEGREE
-            given = degree, SWEEPS.get(self.method, 0) if self.known else 0
+            sweeps = SWEEPS.get(self.method, 0) if self.known else 0
             halves = self.order > CUBIC and _is_hermite(self.object.interpolation_cls)
+            given = degree, sweeps, halves
             made = field.code.once(
-                key, lambda: StepProgram(self.object, self.controller, field, *given, halves)
+                key, lambda: StepProgram(self.object, self.controller, field, *given)
             )
             self._programs[short] = made
         return self._programs[short]
