@@ -746,9 +746,8 @@ class ArcFlow:
         start = stepper.tau
         x = self._onto(fired.cut, segment, start, stepper.x)
         flow = np.array(self.field.rhs(self.now.t + start, x.tolist()))
-        shift, spacing = 0.0, float(np.spacing(abs(self.now.t) + start))
-        while self._before(fired.cut, start + shift, x + shift * flow) and start + shift < length:
-            shift = 2.0 * shift or spacing
+        spacing = float(np.spacing(abs(self.now.t) + start))
+        shift = self._beyond(fired.cut, start, x, flow, spacing, length - start)
         more = (shift + spacing * n for n in range(JUMPS_WITHIN))
         shift = next((s for s in more if self._carried(fired, start + s, x + s * flow)), shift)
         shift = min(shift, length - start)
@@ -756,6 +755,28 @@ class ArcFlow:
         if start > 0.0 or shift == 0.0:
             return []
         return [straight(start, shift, x, stepper.x)]
+
+    def _beyond(
+        self,
+        cut: Cut | None,
+        tau: float,
+        x: StateVector,
+        flow: np.ndarray,
+        spacing: float,
+        most: float,
+    ) -> float:
+        """The time from a state to the other side of a cut, to one spacing of the time: the step
+        before may have ended many of them short of it."""
+        near, far = 0.0, 0.0
+        while self._before(cut, tau + far, x + far * flow) and far < most:
+            near, far = far, 2.0 * far or spacing
+        while far - near > spacing:
+            middle = 0.5 * (near + far)
+            if self._before(cut, tau + middle, x + middle * flow):
+                near = middle
+            else:
+                far = middle
+        return far
 
     def _before(self, cut: Cut | None, tau: float, x: StateVector) -> bool:
         """Whether a deciding function does not yet have the sign that it takes behind a cut.
