@@ -28,6 +28,7 @@ from .kinks import (
     states,
 )
 from .lengths import SHORTEST_CUT, SHORTEST_STEP, time_scale, tolerated_length
+from .polynomials import power_value
 from .stops import stop
 from .weak import forget, weak_step
 from .zeros import EPS
@@ -96,8 +97,13 @@ def step(
             )
         if status < 0 or crossed < 0 or tau + h > tau:
             break
-        sides[crossed] = crossed_to(c, kink_row(p, program, crossed), sides[crossed])
+        side = crossed_to(c, kink_row(p, program, crossed), sides[crossed])
         begun(p, program, c, aside)
+        if put_beyond(p, program, crossed, side, t, tau, 0.0, x, c, aside, end):
+            x = end
+            expanded(p, program, t, x, sides, c, work)
+            begun(p, program, c, aside)
+        sides[crossed] = side
     if status == 0 and (not h > SHORTEST_STEP or (tau + h == tau and h < most)):
         status = NO_STEP
     seen = status == 0 and crossed < 0
@@ -111,7 +117,42 @@ def step(
         h, crossed = before_border(p, program, t, tau, h, sides, c, aside, work, end), -1
         if h == 0.0 or not follows(p, program, held, t, h, -1, sides, c, aside, work):
             return NOT_FINITE, 0.0, -1
+    if crossed >= 0:
+        side = crossed_to(c, kink_row(p, program, crossed), sides[crossed])
+        put_beyond(p, program, crossed, side, t, tau, h, end, c, aside, end)
     return 0, h, crossed
+
+
+def put_beyond(
+    p: Programs,
+    program: int,
+    crossed: int,
+    side: int,
+    t: float,
+    tau: float,
+    h: float,
+    x: Floats,
+    c: Matrix,
+    aside: Matrix,
+    end: Floats,
+) -> bool:
+    """Write into ``end`` the state just beyond a kink on which a step has ended at ``x``, if by its
+    value in ``aside`` it is still before it: the flow leads there in a time below rounding. Returns
+    whether it was.
+
+    Where the rate goes with a root of the distance that little is not nothing: there the formula
+    beyond would be asked for a state at which it does not hold.
+    """
+    order, row = c.shape[1] - 1, kink_row(p, program, crossed)
+    off, (_, rate) = aside[row, 0], power_value(c[row], 0, order, h)
+    if not (side * off < 0.0 and side * rate > 0.0):
+        return False
+    more = (1.0 + ZERO_SPACINGS * EPS) * abs(off / rate)
+    if more > SIDE_BLUR * max(abs(t), tau):
+        return False
+    for i in range(x.shape[0]):
+        end[i] = x[i] + more * power_value(c[i], 0, order, h)[1]
+    return True
 
 
 def _series(
