@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 #: megabytes if each step is evaluated at points of its own.
 PLACES = 1024
 
+#: A projected segment is resolved where its last coefficients are so small beside the largest, the
+#: roundings of a projection, or more of them are no smaller, the rounding of the time; the most.
+LAST_ROUNDED, MOST_RESOLVED = 16.0 * float(np.finfo(float).eps), 64
+
 
 @attrs.frozen(eq=False)
 class Segment:
@@ -83,6 +87,25 @@ def projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segme
     rows = zip(times, states, [*inner, True], strict=True)
     values = np.array([project(*row) for row in rows])
     return Segment(segment.start, segment.length, from_values(degree) @ values)
+
+
+def resolved(segment: Segment, t0: float, project: Callable[..., Any]) -> Segment:
+    """A segment of an arc that is projected wherever it is evaluated, as a polynomial alone.
+
+    It goes through so many projected states that its last coefficients are rounding.
+    """
+    degree, last = max(segment.degree, 1), np.inf
+    while True:
+        degree = min(2 * degree, MOST_RESOLVED)
+        taus = segment.start + segment.length * nodes(degree)
+        rows = zip((t0 + taus).tolist(), segment(taus).tolist(), strict=True)
+        values = np.array([project(t, x) for t, x in rows])
+        found = interpolated(segment.start, segment.length, values)
+        sizes = np.abs(found.coefficients)
+        tail, small = sizes[-2:].max(axis=0), LAST_ROUNDED * sizes.max(axis=0)
+        if degree == MOST_RESOLVED or ((tail <= small) | (2.0 * tail >= last)).all():
+            return found
+        last = tail
 
 
 def terms(series: np.ndarray, length: Any) -> np.ndarray:

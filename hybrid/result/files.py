@@ -22,7 +22,7 @@ import numpy as np
 from ..automaton.signals import Samples, SignalSpec
 from ..automaton.spec import OutputSpec, Spec, StateSpec
 from ..errors import FILES, TABLES, OptionError, StoreError, need
-from ..segment import Segment
+from ..segment import Segment, resolved
 from ..trajectory.accumulation import Accumulation, Truncation
 from ..trajectory.arcs import Arc, JumpRow
 from ..trajectory.log import Log
@@ -114,7 +114,8 @@ def save(run: Solution, path: Any) -> None:
         raise StoreError(f"cannot write {path}: no such folder")
     import xarray as xr
 
-    arcs, segments = run.arcs, [s for arc in run.arcs for s in arc.segments]
+    arcs = [_alone(arc) for arc in run.arcs]
+    segments = [segment for arc in arcs for segment in arc.segments]
     width = max((s.degree + 1 for s in segments), default=1)
     n = run.spec.dimension
     padded = np.zeros((len(segments), width, n))
@@ -155,6 +156,14 @@ def save(run: Solution, path: Any) -> None:
             written.to_netcdf(part, engine="h5netcdf")
     except (OSError, RuntimeError) as fault:  # HDF5 reports a full disk as a RuntimeError
         raise StoreError(f"cannot write {path}: {fault}") from None
+
+
+def _alone(arc: Arc) -> Arc:
+    """An arc whose dense output needs no model to stay on its surface."""
+    if arc.project is None:
+        return arc
+    segments = [resolved(segment, arc.t0, arc.project) for segment in arc.segments]
+    return attrs.evolve(arc, segments=segments, project=None)
 
 
 def _checksum(data: Any) -> int:

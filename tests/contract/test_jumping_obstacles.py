@@ -116,8 +116,8 @@ def test_a_corner_of_a_floor_is_seen_however_it_is_written(way, wave):
     assert np.allclose([own.final.x, own.final.v], [parts.final.x, parts.final.v], atol=CLOSE)
 
 
-#: Triangular floors from the middle of a fall to their top: the period, the height, and where in the
-#: period the body begins. At the first a step of Taylor's ends 3e-9 before the corner.
+#: Triangular floors from the middle of a fall to their top: the period, the height, and where in
+#: the period the body begins. At the first a step of Taylor's ends 3e-9 before the corner.
 TOPS = [(0.5745709558098987, 0.012403211507765617, 0.6904844660533372), (1.0, 0.05, 0.5)]
 
 
