@@ -357,7 +357,8 @@ def test_all_faults_of_switchings_are_reported_together():
         "switching three: mode up has the contact floor",
         "switching four, surface: takes (self, t) where (self, t, s) is due",
         "switching four: its modes are already those of the switching three",
-        "edge stick: to='slide(two)' is no mode of this class",
+        "edge stick: to='slide(two)' is no mode of this class; there are: up, down, "
+        "hy.TERMINATE; name one of the two modes",
     ):
         assert part in text
     assert len(caught.value.faults) == 10

@@ -347,6 +347,11 @@ class Builder:
         if name not in modes:
             known = ", ".join(modes) or "none"
             told = f"{name!r} is no mode of this class; there are: {known}"
+            if what == "to" and name in self.slides():
+                told += (
+                    "; name one of the two modes: where both flows lead to the surface the run "
+                    "slides again at once"
+                )
             if inspect.isfunction(name):
                 told = f"{name.__name__} is no mode: write @hy.mode over it"
             self.faults.append(f"{where}: {what}={told}")
