@@ -19,7 +19,7 @@ from hybrid.rules.steps import NO_STEP
 from hybrid.solvers import taylor_backend
 from hybrid.solvers.taylor_backend import TaylorSolver, TaylorStepper
 from hybrid.zeno import flight
-from hybrid.zeno.flight import falls, fly
+from hybrid.zeno.flight import falls, fly, room_for_sums
 
 from .systems import Drag, ForcedOscillator, Oscillator
 
@@ -327,13 +327,13 @@ def test_a_long_flight_belongs_to_the_solver(unit):
     """Many turns of a forced oscillator: the arrays for its pieces are not written beyond."""
     one = falling(ForcedOscillator, "flight")
     assert fly(one, 0, 0.0, [0.0, 1e9], 1e9) is None
-    room, most = one.jets.room(ORDER)[:6], 2
-    starts, lengths, end = np.full(most + 1, -1.0), np.full(most + 1, -1.0), np.empty(2)
-    series, branch = np.full((2 * most + 2, ORDER + 1), -1.0), np.zeros(9, dtype=np.int64)
+    room, most = room_for_sums(one.jets.tape.needs, 2), 2
+    starts, lengths = np.full(most + 1, -1.0), np.full(most + 1, -1.0)
+    series = np.full((2 * most + 2, ORDER + 1), -1.0)
+    room = room._replace(starts=starts[:most], lengths=lengths[:most])
     made = unit("flights").fly(
-        *(one.jets.alone, 0, 0, False, 0.0, np.array([0.0, 1e3]), 1e3),
-        *(starts[:most], lengths[:most], series[:-2], branch, end, *room),
-        *(np.zeros(0, dtype=np.int64), 0.0, 1e-16),  # no guards are looked at
+        *(one.jets.alone, 0, 0, False, 0.0, np.array([0.0, 1e3]), 1e3, room.c, series[:-2]),
+        *(np.zeros(0, dtype=np.int64), 0.0, 1e-16, room),  # no guards are looked at
     )
     assert made[0] == TOO_LONG
     assert made[3] == most

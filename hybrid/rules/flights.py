@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Floats, Ints, Matrix, Programs
+from .arrays import Floats, Ints, Matrix, Programs, Sums
 from .checks import HELD_BEFORE, bends, follows, look, short_of
 from .jets import KINKS, OUTPUT
 from .kinks import (
@@ -56,20 +56,12 @@ def fly(
     t: float,
     x: Floats,
     v: float,
-    starts: Floats,
-    lengths: Floats,
-    series: Matrix,
-    branch: Ints,
-    end: Floats,
     c: Matrix,
-    aside: Matrix,
-    work: Floats,
-    rows: Matrix,
-    found: Matrix,
-    sides: Ints,
+    series: Matrix,
     signs: Ints,
     rounding: float,
     terms: float,
+    room: Sums,
 ) -> tuple[int, float, float, int, int]:
     """The flight that leaves a contact with gap speed ``v > 0``.
 
@@ -79,23 +71,21 @@ def fly(
         The place of the gap among the program's outputs.
     held : bool
         As :func:`.checks.follows` takes it.
-    starts, lengths, series
-        Get the pieces of the flight: when each begins, from 0, how long it is, and the series of
-        the state, a row for each element, unless there are no rows. :func:`most_pieces` says how
-        many there may be.
-    branch
-        Gets the sign of each kink where the flight begins (0 of a point, which is not watched), and
-        the kinks that it crosses, in order: a place for each kink and each piece.
-    end
-        Gets the state at the end.
-    c, aside, work, rows, found, sides
-        To work in, as :func:`.steps.step` takes them; ``aside`` has three columns.
+    c
+        Gets the series of a piece; its columns say of what order they are.
+    series
+        Gets those of the state in all pieces, a row for each element, unless there are no rows.
     signs, rounding
         For each guard the sign that it must have on the way, 0 where it is that which it has at the
         start, which is put down; and nearer to zero than rounding none may come. With no signs
         guards are not looked at.
     terms
         To what share of a state, and of the gap, the last terms of its series fall in a piece.
+    room
+        ``starts`` and ``lengths`` get when each piece begins, from 0, and how long it is:
+        :func:`most_pieces` says how many there may be. ``branch`` gets the sign of each kink where
+        the flight begins (0 of a point, which is not watched), and the kinks that it crosses, in
+        order: a place for each kink and each piece. ``end`` gets the state at the end.
 
     Returns
     -------
@@ -105,56 +95,46 @@ def fly(
         the gap speed at its end, and how many pieces there are and kinks that it crosses.
     """
     time, gap, speed = 0.0, 0.0, v
-    crossings, kinks = 0, count(p, program)
-    most = min(most_pieces(kinks), starts.shape[0], branch.shape[0] - kinks)
+    crossings, kinks, end, sides = 0, count(p, program), room.end, room.sides
+    most = min(most_pieces(kinks), room.starts.shape[0], room.branch.shape[0] - kinks)
     for i in range(x.shape[0]):
         end[i] = x[i]
     for i in range(kinks):
         sides[i] = 0
     for piece in range(most):
-        status = expanded(p, program, t + time, end, sides, c, work)
+        status = expanded(p, program, t + time, end, sides, c, room.work)
         known = status
-        if known < 0 and not few_terms(p, program, t + time, end, sides, c, work):
+        if known < 0 and not few_terms(p, program, t + time, end, sides, c, room.work):
             return status, time, speed, piece, crossings
         if piece == 0:
-            _begin(p, program, sides, c, branch)
+            _begin(p, program, sides, c, room.branch)
+        longest = _converged(p, program, signs, c)
         status, h, crossed, gap, speed = _piece(
-            p, program, column, held, t + time, gap, speed, c, aside, work, rows, found, sides,
-            _converged(p, program, signs, c), terms,
-        )  # fmt: skip
+            p, program, column, held, t + time, gap, speed, longest, terms, c, room
+        )
         if known < 0 and not (
-            status >= 0 and steady(p, program, t + time, h, sides, c, aside, work)
+            status >= 0 and steady(p, program, t + time, h, sides, c, room.aside, room.work)
         ):
             status = known
-        if status >= 0 and not _apart(p, program, column, h, rounding, signs, c, rows, found):
+        if status >= 0 and not _apart(p, program, column, h, rounding, signs, c, room):
             status = REACHED
         if status < 0:
             return status, time, speed, piece, crossings
-        _keep(piece, time, h, c, starts, lengths, series, end)
+        _keep(piece, time, h, c, series, room)
         time += h
         if status == ENDS_AT_ZERO:
             return 0 if speed < 0.0 else GAP_RISES, time, speed, piece + 1, crossings
         if crossed >= 0:
-            branch[kinks + crossings] = crossed
+            room.branch[kinks + crossings] = crossed
             crossings += 1
         turn(p, program, crossed, t + time - h, h, c, sides)
-        if crossed >= 0 and not _gap_goes_on(
-            p, program, column, crossed, t + time, end, sides, aside, work
-        ):
+        if crossed >= 0 and not _gap_goes_on(p, program, column, crossed, t + time, room):
             return OFF_SERIES, time, speed, piece + 1, crossings
     return TOO_LONG, time, speed, most, crossings
 
 
 def _gap_goes_on(
-    p: Programs,
-    program: int,
-    column: int,
-    crossed: int,
-    t: float,
-    x: Floats,
-    sides: Ints,
-    aside: Matrix,
-    work: Floats,
+    p: Programs, program: int, column: int, crossed: int, t: float, room: Sums
 ) -> bool:
     """Whether a gap and its speed go on where a flight has crossed a kink. If not, as where a floor
     begins to rise, they are no more what the flight has made of those with which it began.
@@ -163,12 +143,13 @@ def _gap_goes_on(
     rounding has put the state beside it.
     """
     row, kink = p.output[p.index[program, OUTPUT] + column], kink_row(p, program, crossed)
+    sides, aside = room.sides, room.aside
     side = sides[crossed]
     sides[crossed] = -side
-    look(p, program, 2, t, x, True, sides, aside, work)
+    look(p, program, 2, t, room.end, True, sides, aside, room.work)
     gap, speed, bend = aside[row, 0], aside[row, 1], aside[row, 2]
     sides[crossed] = side
-    look(p, program, 2, t, x, True, sides, aside, work)
+    look(p, program, 2, t, room.end, True, sides, aside, room.work)
     off, rate = abs(aside[kink, 0]), abs(aside[kink, 1])
     late = ZERO_SPACINGS * EPS * abs(t) + (2.0 * off / rate if rate > 0.0 else 0.0)
     turned, bent = abs(aside[row, 1] - speed), 2.0 * abs(aside[row, 2] - bend)
@@ -207,8 +188,7 @@ def _apart(
     rounding: float,
     signs: Ints,
     c: Matrix,
-    rows: Matrix,
-    found: Matrix,
+    room: Sums,
 ) -> bool:
     """Whether all guards but one keep their signs on a piece, and stay away from zero."""
     first = p.index[program, OUTPUT]
@@ -217,19 +197,19 @@ def _apart(
             own = c[p.output[first + g]]
             if signs[g] == 0:
                 signs[g] = 1 if own[0] > 0.0 else -1
-            if not (own[0] * signs[g] > 0.0 and _keeps_off(own, h, rounding, rows, found)):
+            if not (own[0] * signs[g] > 0.0 and _keeps_off(own, h, rounding, room)):
                 return False
     return True
 
 
-def _keeps_off(c: Floats, h: float, rounding: float, rows: Matrix, found: Matrix) -> bool:
+def _keeps_off(c: Floats, h: float, rounding: float, room: Sums) -> bool:
     """Whether a series, and what it leaves open, is further from zero than rounding."""
     order, noise = c.shape[0] - 1, rounding + behind(c, h)
     if outweighs(c, 0, order, h, noise):
         return True
     end, _ = power_value(c, 0, order, h)
     away = abs(c[0]) > noise and abs(end) > noise and end * c[0] > 0.0
-    return away and zeros(c, order, h, 0, noise, rows, found) == 0
+    return away and zeros(c, order, h, 0, noise, room.rows, room.found) == 0
 
 
 def _piece(
@@ -240,33 +220,29 @@ def _piece(
     t: float,
     gap: float,
     speed: float,
-    c: Matrix,
-    aside: Matrix,
-    work: Floats,
-    rows: Matrix,
-    found: Matrix,
-    sides: Ints,
     most: float,
     terms: float,
+    c: Matrix,
+    room: Sums,
 ) -> tuple[int, float, int, float, float]:
     """A step of a flight, no longer than ``most``: its status, how long it is, the kink that ends
     it, and the gap and its speed there."""
-    place = p.index[program, OUTPUT] + column
+    place, sides, aside = p.index[program, OUTPUT] + column, room.sides, room.aside
     row = p.output[place]
-    reach, zero = _reach(p, program, row, gap, speed, terms, c, rows, found)
+    reach, zero = _reach(p, program, row, gap, speed, terms, c, room)
     h = min(reach, zero, most)
     if not 0.0 < h < math.inf:
         return NO_LENGTH, h, -1, gap, speed
-    h, crossed = first_change(p, program, t, h, sides, c, rows, found)
+    h, crossed = first_change(p, program, t, h, sides, c, room.rows, room.found)
     if math.isnan(h):
         return NOT_FINITE, h, -1, gap, speed
     kink = crossed >= 0
-    if not follows(p, program, held, t, h, crossed, sides, c, aside, work):
+    if not follows(p, program, held, t, h, crossed, sides, c, aside, room.work):
         return OFF_SERIES, h, -1, gap, speed
     lands = h == zero
     last = short_of(p, program, crossed, t, h, c) if kink else HELD_BEFORE * h if lands else h
     of_states = p.affine[place] == 1  # its series is theirs
-    if not (of_states or bends(p, program, row, t, h, last, sides, c, aside, work)):
+    if not (of_states or bends(p, program, row, t, h, last, sides, c, aside, room.work)):
         return OFF_SERIES, h, -1, gap, speed
     rest, slope = power_value(c[row], 2, c.shape[1] - 1, h)
     gap += (speed + rest * h) * h
@@ -282,8 +258,7 @@ def _reach(
     speed: float,
     terms: float,
     c: Matrix,
-    rows: Matrix,
-    found: Matrix,
+    room: Sums,
 ) -> tuple[float, float]:
     """How far the series hold, no further than to the zero that is found there: the first of the
     gap, as a coordinate of its own."""
@@ -297,26 +272,18 @@ def _reach(
     c[row, 0], c[row, 1] = gap, speed
     reach = min_own_length(c[row], terms, reach)
     if zero == math.inf:
-        zero = zero_of(c[row], reach, rows, found)
+        zero = zero_of(c[row], reach, room.rows, room.found)
     elif reach < zero:
         zero = math.inf
     c[row, 0], c[row, 1] = height, rate
     return reach, zero
 
 
-def _keep(
-    piece: int,
-    time: float,
-    h: float,
-    c: Matrix,
-    starts: Floats,
-    lengths: Floats,
-    series: Matrix,
-    x: Floats,
-) -> None:
-    """Put down a piece, and the state at its end into ``x``."""
-    starts[piece], lengths[piece] = time, h
-    for i in range(x.shape[0]):
-        x[i], _ = power_value(c[i], 0, c.shape[1] - 1, h)
+def _keep(piece: int, time: float, h: float, c: Matrix, series: Matrix, room: Sums) -> None:
+    """Put down a piece, and the state at its end."""
+    room.starts[piece], room.lengths[piece] = time, h
+    n = room.end.shape[0]
+    for i in range(n):
+        room.end[i], _ = power_value(c[i], 0, c.shape[1] - 1, h)
         for k in range(series.shape[1] if series.shape[0] > 0 else 0):
-            series[piece * x.shape[0] + i, k] = c[i, k] if k < c.shape[1] else 0.0
+            series[piece * n + i, k] = c[i, k] if k < c.shape[1] else 0.0

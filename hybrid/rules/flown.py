@@ -196,9 +196,8 @@ def tail_kept(
         if ints[FLIGHTS_DONE] > 0:
             _, v = on_curve(a.programs, at, curve, degree, t, x, v, w, 1.0, sums, state)
         status, length, _, pieces, _ = fly(
-            a.programs, flow, column, False, t + since, state, v, sums.starts, sums.lengths,
-            sums.series, sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows,
-            sums.found, sums.sides, sums.sides[:0], 0.0, LAST_TERMS,
+            a.programs, flow, column, False, t + since, state, v, sums.c, sums.series,
+            sums.sides[:0], 0.0, LAST_TERMS, sums,
         )  # fmt: skip
         ends = status < 0 or ints[FLIGHTS_DONE] == most or length <= shortest
         if ends or near(limit, sums, past, pieces):

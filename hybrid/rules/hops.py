@@ -6,7 +6,7 @@ Numbers in brackets are the rules of ``docs/semantics.md``.
 
 from __future__ import annotations
 
-from .arrays import Floats, Ints, Matrix, Programs, Sums
+from .arrays import Floats, Ints, Programs, Sums
 from .flights import fly
 from .guards import NEAR
 from .jets import values
@@ -68,12 +68,12 @@ def hop(
         0, or negative if the flight cannot be flown here; its duration; the gap speed after the
         impact; the number of pieces of it in ``room``.
     """
-    status, time, u, pieces = _flown(
-        p, flow, column, held, t, x, v, signs, rounding, room.low, room
+    status, time, u, pieces, _ = fly(
+        p, flow, column, held, t, x, v, room.low, room.series, signs, rounding, LAST_TERMS, room
     )
     if status < 0 or pieces > 1:  # it is long, or has kinks on the way
-        status, time, u, pieces = _flown(
-            p, flow, column, held, t, x, v, signs, rounding, room.c, room
+        status, time, u, pieces, _ = fly(
+            p, flow, column, held, t, x, v, room.c, room.series, signs, rounding, LAST_TERMS, room
         )
     if status < 0:
         return status, time, 0.0, 0
@@ -87,25 +87,3 @@ def hop(
         after[j] = before[j]
     turned(after, speed - read[n], read)
     return 0, time, speed, pieces
-
-
-def _flown(
-    p: Programs,
-    flow: int,
-    column: int,
-    held: bool,
-    t: float,
-    x: Floats,
-    v: float,
-    signs: Ints,
-    rounding: float,
-    c: Matrix,
-    room: Sums,
-) -> tuple[int, float, float, int]:
-    """The flight, by series with the coefficients of ``c``."""
-    status, time, u, pieces, _ = fly(
-        p, flow, column, held, t, x, v, room.starts, room.lengths, room.series, room.branch,
-        room.end, c, room.aside, room.work, room.rows, room.found, room.sides, signs, rounding,
-        LAST_TERMS,
-    )  # fmt: skip
-    return status, time, u, pieces

@@ -232,9 +232,8 @@ def mapped(
     columns, state, degree = change.shape[1], sums.lines[STATE_THERE, :n], curve.shape[0] - 1
     begins, speed = on_curve(p, at, curve, degree, t, x, v, w, 1.0, sums, state)
     status, length, u, pieces, crossed = fly(
-        p, flow, column, held, begins, state, speed, sums.starts, sums.lengths, sums.series,
-        sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows, sums.found, sums.sides,
-        sums.sides[:0], 0.0, LAST_TERMS,
+        p, flow, column, held, begins, state, speed, sums.c, sums.series, sums.sides[:0], 0.0,
+        LAST_TERMS, sums,
     )  # fmt: skip
     if status < 0 or not flown(p, flow, s, own, begins, n, pieces, crossed, sums, room):
         return False

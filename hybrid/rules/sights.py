@@ -188,9 +188,8 @@ def laws(
         w = room.small[CURVE_BASIS, k]
         when, speed = on_curve(p, at, curve, curve.shape[0] - 1, t, x, v, w, 1.0, room, state)
         status, length, u, _, _ = fly(
-            p, flow, column, False, when, state, speed, room.starts, room.lengths, room.series[:0],
-            room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides,
-            room.sides[:0], 0.0, LAST_TERMS,
+            p, flow, column, False, when, state, speed, room.c, room.series[:0], room.sides[:0],
+            0.0, LAST_TERMS, room,
         )  # fmt: skip
         if status < 0:
             return False

@@ -342,15 +342,13 @@ def flight(
     status, length, u, pieces, crossed = NO_SERIES, 0.0, 0.0, 0, 0
     if w * room.ints[PIECES] >= HALF_A_PIECE or room.ints[PIECES] == 0:
         status, length, u, pieces, crossed = fly(
-            p, flow, column, held, begins, state, speed, room.starts, room.lengths,
-            room.series[:0], room.branch, room.end, room.high, room.aside, room.work, room.rows,
-            room.found, room.sides, room.sides[:0], 0.0, terms,
+            p, flow, column, held, begins, state, speed, room.high, room.series[:0],
+            room.sides[:0], 0.0, terms, room,
         )  # fmt: skip
     if NO_LENGTH <= status < 0:
         status, length, u, pieces, crossed = fly(
-            p, flow, column, held, begins, state, speed, room.starts, room.lengths,
-            room.series[:0], room.branch, room.end, room.c, room.aside, room.work, room.rows,
-            room.found, room.sides, room.sides[:0], 0.0, terms,
+            p, flow, column, held, begins, state, speed, room.c, room.series[:0], room.sides[:0],
+            0.0, terms, room,
         )  # fmt: skip
     signs = p.index[flow, KINKS + 1] - p.index[flow, KINKS]
     if status < 0 or not same_branch(signs, pieces, crossed, room.branch, room.ints):

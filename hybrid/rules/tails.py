@@ -59,9 +59,8 @@ def clear(
                 p, at, curve, curve.shape[0] - 1, t, x, v, r**n, 1.0, room, state
             )
             status, _, _, _, _ = fly(
-                p, flow, column, held, when, state, speed, room.starts, room.lengths,
-                room.series[:0], room.branch, room.end, room.c, room.aside, room.work, room.rows,
-                room.found, room.sides, signs, 0.0, LAST_TERMS,
+                p, flow, column, held, when, state, speed, room.c, room.series[:0], signs, 0.0,
+                LAST_TERMS, room,
             )  # fmt: skip
             if status == REACHED:
                 return False

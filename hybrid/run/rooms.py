@@ -17,7 +17,7 @@ from ..rules.lengths import short_order
 from ..rules.places import CURVE_ROWS, FLOWING, REMAINING, STATE_FLOATS, STATE_INTS, TOLERANCES
 from ..rules.sights import LAW_POINTS, OTHER_GUARDS, STATE_ROWS, TAIL_HALVINGS
 from ..rules.sums import STRETCH_POINTS
-from ..zeno.accumulate import room_for_sums
+from ..zeno.flight import room_for_sums
 
 if TYPE_CHECKING:
     from ..lowering.automaton import Tables

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
 from itertools import pairwise
@@ -16,33 +16,22 @@ from numpy.polynomial import chebyshev
 from ..automaton.markers import Crossing
 from ..bounds.defect import follows
 from ..lowering.local import near, off
-from ..lowering.lowered import ORDER
-from ..lowering.tape import Tape, lent, linked, room
+from ..lowering.tape import Tape, lent, linked
 from ..lowering.taylor import polynomial
 from ..rules import unit
 from ..rules.arrays import Programs, Sums
-from ..rules.flights import most_pieces
 from ..rules.guards import GUARD_ROUNDING
-from ..rules.lengths import LOW_ORDER
 from ..rules.sums import (
-    BRANCH,
     ERROR,
-    FIT,
-    FORCE_SAMPLES,
-    GRID,
-    HIGH_ORDER,
-    LAST_POINT,
-    MOST_DEGREE,
     ON_CURVE,
     STATE_THERE,
     STRETCH_POINTS,
     SUM_FLOOR,
-    SUM_LINES,
     SUM_SHARE,
     TO_LIMIT,
 )
 from ..rules.zeros import EPS
-from .flight import Flight, fly, pieces_of, segments
+from .flight import Flight, fly, pieces_of, room_for_sums, segments
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Integers, Matrix, StateVector
@@ -381,30 +370,3 @@ class _Chatter:
     def _new(self) -> Sums:
         needs = np.max([tape.needs for tape in self.tapes], axis=0)
         return room_for_sums(needs.tolist(), self.tapes[0].size)
-
-
-def room_for_sums(needs: Sequence[int], n: int) -> Sums:
-    """Work arrays for sums over ``n`` states, for programs within the sizes ``needs``."""
-    work, points = room(needs, n, HIGH_ORDER), MOST_DEGREE + 1
-    kinks = len(work.sides)
-    most = most_pieces(kinks)
-    return Sums(
-        lines=np.zeros((SUM_LINES, n + 2)),
-        small=np.zeros((FIT + FORCE_SAMPLES, points)),
-        times=np.zeros(GRID + LAST_POINT + 1),
-        ints=np.zeros(BRANCH + kinks + most, dtype=np.int64),
-        high=work.c,
-        low=np.empty((len(work.c), LOW_ORDER + 1)),
-        short=work,
-        starts=np.zeros(most),
-        lengths=np.zeros(most),
-        series=np.zeros((n * most, ORDER + 1)),
-        branch=np.zeros(kinks + most, dtype=np.int64),
-        end=np.zeros(n),
-        c=np.empty((len(work.c), ORDER + 1)),
-        aside=work.aside,
-        work=work.work,
-        rows=work.rows,
-        found=work.found,
-        sides=work.sides,
-    )

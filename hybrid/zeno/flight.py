@@ -6,17 +6,30 @@ The gap is a coordinate of its own (:mod:`hybrid.rules.flights`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
 
 from ..events import room, series_zeros
 from ..lowering.lowered import ORDER
+from ..lowering.tape import lent
+from ..lowering.tape import room as room_for
 from ..lowering.taylor import polynomial
 from ..rules import unit
+from ..rules.arrays import Sums
 from ..rules.flights import most_pieces
-from ..rules.lengths import LAST_TERMS
+from ..rules.lengths import LAST_TERMS, LOW_ORDER
+from ..rules.sums import (
+    BRANCH,
+    FIT,
+    FORCE_SAMPLES,
+    GRID,
+    HIGH_ORDER,
+    LAST_POINT,
+    MOST_DEGREE,
+    SUM_LINES,
+)
 from ..segment import Segment, from_powers, terms
 
 if TYPE_CHECKING:
@@ -26,6 +39,9 @@ if TYPE_CHECKING:
 
 #: Start, length, and the Taylor coefficients of each state element.
 Piece = tuple[float, float, np.ndarray]
+
+#: No guards are looked at.
+NO_SIGNS = np.empty(0, dtype=np.int64)
 
 
 @attrs.frozen(eq=False)
@@ -63,20 +79,44 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
     """
     if field.jets is None:
         return None
-    work, size = field.jets.room(ORDER), len(x)
+    needs, free = field.jets.tape.needs, field.once("rooms for flights", dict[Any, Any])
+    with lent(free, "flight", lambda: room_for_sums(needs, len(x))) as sums:
+        status, time, u, pieces, crossed = unit("flights").fly(
+            *(field.jets.alone, 0, column, field.project is not None, t),
+            *(np.array(x, dtype=float), v, sums.c, sums.series, NO_SIGNS, 0.0, LAST_TERMS, sums),
+        )
+        if status < 0:
+            return None
+        made = pieces_of(pieces, sums.starts, sums.lengths, sums.series)
+        branch = tuple(sums.branch[: len(sums.sides) + crossed].tolist())
+        return Flight(time, sums.end.tolist(), u, made, branch)
+
+
+def room_for_sums(needs: Sequence[int], n: int) -> Sums:
+    """Work arrays for sums over ``n`` states, for programs within the sizes ``needs``."""
+    work, points = room_for(needs, n, HIGH_ORDER), MOST_DEGREE + 1
     kinks = len(work.sides)
     most = most_pieces(kinks)
-    starts, lengths, end = np.empty(most), np.empty(most), np.empty(size)
-    series, branch = np.empty((most * size, ORDER + 1)), np.empty(kinks + most, dtype=np.int64)
-    status, time, u, pieces, crossed = unit("flights").fly(
-        *(field.jets.alone, 0, column, field.project is not None, t, np.array(x, dtype=float), v),
-        *(starts, lengths, series, branch, end, *work[:6], np.empty(0, dtype=np.int64), 0.0),
-        LAST_TERMS,
+    return Sums(
+        lines=np.zeros((SUM_LINES, n + 2)),
+        small=np.zeros((FIT + FORCE_SAMPLES, points)),
+        times=np.zeros(GRID + LAST_POINT + 1),
+        ints=np.zeros(BRANCH + kinks + most, dtype=np.int64),
+        high=work.c,
+        low=np.empty((len(work.c), LOW_ORDER + 1)),
+        short=work,
+        starts=np.zeros(most),
+        lengths=np.zeros(most),
+        series=np.zeros((n * most, ORDER + 1)),
+        branch=np.zeros(kinks + most, dtype=np.int64),
+        end=np.zeros(n),
+        c=np.empty((len(work.c), ORDER + 1)),
+        aside=work.aside,
+        work=work.work,
+        rows=work.rows,
+        found=work.found,
+        sides=work.sides,
     )
-    if status < 0:
-        return None
-    made = pieces_of(pieces, starts, lengths, series)
-    return Flight(time, end.tolist(), u, made, tuple(branch[: kinks + crossed].tolist()))
 
 
 def pieces_of(count: int, starts: Numbers, lengths: Numbers, series: Matrix) -> tuple[Piece, ...]:
