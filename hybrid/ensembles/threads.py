@@ -197,14 +197,13 @@ class Abreast:
         Returns where each begins and ends in these arrays, the places of parameters in the programs
         and in the bounds, and two arrays of operations.
         """
-        ends, rows, given = np.zeros(4, dtype=np.int64), [], []
+        ends, rows, given = np.zeros(3, dtype=np.int64), [], []
         columns = self.given.values.shape[1]
         for part in parts:
             tape = part.tape
-            own = tape.given.T[tape.given[1] < columns]
-            sizes = [len(own), len(tape.steady), len(tape.more), len(part.numbers)]
+            given.append(tape.given.T[tape.given[1] < columns] + np.array([ends[2], 0]))
+            sizes = [len(tape.steady), len(tape.more), len(part.numbers)]
             rows.append(np.column_stack([ends, ends + sizes]).reshape(-1))
-            given.append(own)
             ends = ends + sizes
         return (
             np.array(rows, dtype=np.int64),

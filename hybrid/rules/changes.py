@@ -28,9 +28,9 @@ from .arrays import (
 )
 from .clocks import after, field_of
 from .guards import NEAR
-from .jets import afresh, values
+from .jets import afresh, put_in, values
 from .kinks import count
-from .lanes import ENDED, LAST_JUMP, MADE_JUMPS, OUTCOME, SUMMED, bound, lanes
+from .lanes import ENDED, LAST_JUMP, MADE_JUMPS, OUTCOME, SUMMED, lanes
 from .limits import KINK_SIDE, SAME_FLOW, SAME_KINK_TIME, USABLE, copied, limit, passed_at
 from .places import (
     AT,
@@ -154,9 +154,9 @@ def flown(
         asked[lane, 0], asked[lane, 1] = LEFT_TO_PYTHON, 0
         outcome = told[lane, OUTCOME]
         if outcome in (ENDED, LAST_JUMP):
-            bound(
-                a, own_parts, own_given, ranged[:0], own_ops, own_more, own_numbers,
-                parameters[lane], own_room,
+            put_in(
+                a, own_room, parameters[lane], own_given, ranged[:0], own_parts, own_ops, own_more,
+                own_numbers,
             )  # fmt: skip
             asked[lane, 0], asked[lane, 1] = along(
                 a, run, now, left, sums, s, changing, spans[lane, 0], starts[lane], field,

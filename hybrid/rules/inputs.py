@@ -12,19 +12,16 @@ from .arrays import (
     AutomatonArrays,
     Floats,
     InputArrays,
-    Ints,
     Left,
     Look,
-    Matrix,
     Now,
     Room,
     Sums,
-    Table,
 )
 from .clocks import after
 from .contacts import closed, onto
 from .guards import GUARD_ROUNDING, row_of, sizes_of
-from .jets import afresh, steady
+from .jets import afresh, put_in
 from .places import (
     CONSTRAINED,
     END,
@@ -50,7 +47,7 @@ from .runs import go
 from .ties import ago
 from .zeros import EPS
 
-__all__ = ("feed", "put_in", "through")
+__all__ = ("feed", "through")
 
 
 def through(
@@ -107,35 +104,6 @@ def feed(a: AutomatonArrays, room: Room, inputs: InputArrays) -> None:
         a, room, inputs.pieces[inputs.place[0]], inputs.given, inputs.ranged, inputs.parts,
         inputs.ops, inputs.more, inputs.numbers,
     )  # fmt: skip
-
-
-def put_in(
-    a: AutomatonArrays,
-    room: Room,
-    shown: Floats,
-    given: Table,
-    ranged: Table,
-    parts: Table,
-    ops: Table,
-    more: Ints,
-    numbers: Matrix,
-) -> None:
-    """Pass numbers to the programs, and compute what depends on them only."""
-    for g in range(given.shape[0]):
-        numbers[given[g, 0], 0] = shown[given[g, 1]]
-    for g in range(ranged.shape[0]):
-        a.bounds.numbers[ranged[g, 0]] = shown[ranged[g, 1]]
-    for q in range(parts.shape[0]):
-        part = parts[q]
-        steady(
-            ops[part[0] : part[1]],
-            more[part[2] : part[3]],
-            room.still,
-            numbers[part[4] : part[5]],
-            room.work,
-        )
-    for i in range(room.sides.shape[0]):
-        room.sides[i] = 0
 
 
 def as_before(a: AutomatonArrays, now: Now, room: Room) -> bool:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Floats, Ints, Matrix, Programs, Table
+from .arrays import AutomatonArrays, Floats, Ints, Matrix, Programs, Room, Table
 from .operations import integrate, operate
 
 __all__ = ("afresh", "jets", "steady", "values")
@@ -116,6 +116,35 @@ def steady(ops: Table, more: Ints, sides: Ints, s: Matrix, work: Floats) -> int:
     """The numbers that do not move, from those that are given: the same operations, at order 0."""
     _read(ops, 0, ops.shape[0], more, work, sides, s, work, 0)
     return 0
+
+
+def put_in(
+    a: AutomatonArrays,
+    room: Room,
+    shown: Floats,
+    given: Table,
+    ranged: Table,
+    parts: Table,
+    ops: Table,
+    more: Ints,
+    numbers: Matrix,
+) -> None:
+    """Pass numbers to the programs, and compute what depends on them only."""
+    for g in range(given.shape[0]):
+        numbers[given[g, 0], 0] = shown[given[g, 1]]
+    for g in range(ranged.shape[0]):
+        a.bounds.numbers[ranged[g, 0]] = shown[ranged[g, 1]]
+    for q in range(parts.shape[0]):
+        part = parts[q]
+        steady(
+            ops[part[0] : part[1]],
+            more[part[2] : part[3]],
+            room.still,
+            numbers[part[4] : part[5]],
+            room.work,
+        )
+    for i in range(room.sides.shape[0]):
+        room.sides[i] = 0
 
 
 def run_code(

@@ -24,7 +24,7 @@ from .arrays import (
     Table,
 )
 from .clocks import after
-from .jets import steady
+from .jets import put_in
 from .pairs import answers
 from .places import (
     AT,
@@ -147,9 +147,9 @@ def lanes(
     left.
 
     ``pair`` makes steps where they are not of Taylor series.
-    ``parts`` has a row for each program: where its ``given``, its ``ops`` and its list of arguments
-    in ``more`` begin and end, and its ``numbers``, which are those that ``a`` has. ``given`` are
-    places of parameters and their columns in ``values``, and ``ranged`` those of the bounds.
+    ``parts`` has a row for each program: where its ``ops``, its list of arguments in ``more`` and
+    its ``numbers``, which are those that ``a`` has, begin and end. ``given`` are places of
+    parameters among these and their columns in ``values``, and ``ranged`` those of the bounds.
     ``watched``: whether the driver would look for cycles. ``when`` and ``fired`` have a column, and
     ``around`` two rows, before and after, for each of the first jumps of a lane.
     """
@@ -157,7 +157,7 @@ def lanes(
     for lane in range(starts.shape[0]):
         if stop[0] != 0:
             return made
-        bound(a, parts, given, ranged, ops, more, numbers, values[lane], room)
+        put_in(a, room, values[lane], given, ranged, parts, ops, more, numbers)
         run[LAST_TIME] = run[RUN_END] = spans[lane, 1]
         begun(a, now, spans[lane, 0], starts[lane], field)
         status = go(a, run, now, room, left, sums, look)
@@ -223,33 +223,6 @@ def listed(left: Left, jumps: int, lane: int, when: Matrix, fired: Table, around
         place = 2 * (lane * rows + j)
         copied(left.before[j], around[place])
         copied(left.after[j], around[place + 1])
-
-
-def bound(
-    a: AutomatonArrays,
-    parts: Table,
-    given: Table,
-    ranged: Table,
-    ops: Table,
-    more: Ints,
-    numbers: Matrix,
-    own: Floats,
-    room: Room,
-) -> None:
-    """The numbers of each program, for a lane's parameters."""
-    for k in range(ranged.shape[0]):
-        a.bounds.numbers[ranged[k, 0]] = own[ranged[k, 1]]
-    for part in range(parts.shape[0]):
-        first = parts[part, 6]
-        for k in range(parts[part, 0], parts[part, 1]):
-            numbers[first + given[k, 0], 0] = own[given[k, 1]]
-        steady(
-            ops[parts[part, 2] : parts[part, 3]],
-            more[parts[part, 4] : parts[part, 5]],
-            room.still,
-            numbers[first : parts[part, 7]],
-            room.work,
-        )
 
 
 def begun(a: AutomatonArrays, now: Now, t: float, x: Floats, field: int) -> None:

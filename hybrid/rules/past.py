@@ -19,8 +19,7 @@ from .contacts import twin, values
 from .flown import fits, recorded, walked
 from .guards import GUARD_ROUNDING, row_of, sizes_of
 from .guesses import SINCE_PLACE, TO_PLACE
-from .inputs import put_in
-from .jets import afresh
+from .jets import afresh, put_in
 from .places import (
     AGAIN,
     AT,
