@@ -228,11 +228,11 @@ def kept_law(
     later, limit = remaining / (1.0 - r), left.curves[first + AT_LIMIT, :n]
     most = LAW_CAUTION * max(errors[0], SUM_FLOOR * abs(end)) / later
     impacts = count(t, r, remaining)
-    off = damped(a, flow, at, column, curve, t, x, v, r, impacts, most, sums, look)
-    if not (off < math.inf and slows(a, at, end, limit, v, sums)):
+    p, laws = a.programs, look.laws
+    off = damped(p, flow, at, column, False, curve, t, x, v, r, impacts, most, sums, laws)
+    if not (off < math.inf and slows(p, at, end, limit, v, sums)):
         return False
     errors[0] += later * off
-    p = a.programs
     if off > 0.0 and afresh(p, flow, 1, end, limit, sums.sides, sums.c, sums.work) == 0:
         for i in range(n):
             errors[i + 1] += later * off * abs(sums.c[i, 1])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from .arrays import AutomatonArrays, Floats, Look, Matrix, Sums
+from .arrays import AutomatonArrays, Floats, Look, Matrix, Programs, Sums
 from .bounds import at_points, ranges
 from .chebyshev import from_values, nodes, value
 from .flights import fly
@@ -124,10 +124,11 @@ def shown_again(s: Floats, n: int, room: Sums, look: Look) -> int:
 
 
 def damped(
-    a: AutomatonArrays,
+    p: Programs,
     flow: int,
     at: int,
     column: int,
+    held: bool,
     curve: Matrix,
     t: float,
     x: Floats,
@@ -136,19 +137,19 @@ def damped(
     impacts: int,
     allowed: float,
     room: Sums,
-    look: Look,
+    found: Matrix,
 ) -> float:
     """What the restitution at all impacts is off what a sum's flights have it, each as if it were
     the first; infinite where one is off by more than ``allowed``, or not below 1."""
-    if not laws(a, flow, at, column, curve, t, x, v, r, room, look):
+    if not laws(p, flow, at, column, held, curve, t, x, v, r, room, found):
         return math.inf
-    n, degree, found = x.shape[0], curve.shape[0] - 1, look.laws[LAW_POINTS + 1 :]
+    n, degree, fit = x.shape[0], curve.shape[0] - 1, found[LAW_POINTS + 1 :]
     w, total, state = 1.0, 0.0, room.lines[STATE_THERE, :n]
     for _ in range(min(impacts, ASKED_IMPACTS)):
-        when, _ = on_curve(a.programs, at, curve, degree, t, x, v, r * w, 1.0, room, state)
-        bend = value(curve, degree, n + 1, w) + value(found, LAW_POINTS, SPEED_GROWTH, w)
-        law = restitution(a.programs, at, when, state, -v * w * math.exp(bend), room)
-        expected = math.exp(value(found, LAW_POINTS, RESTITUTION, w))
+        when, _ = on_curve(p, at, curve, degree, t, x, v, r * w, 1.0, room, state)
+        bend = value(curve, degree, n + 1, w) + value(fit, LAW_POINTS, SPEED_GROWTH, w)
+        law = restitution(p, at, when, state, -v * w * math.exp(bend), room)
+        expected = math.exp(value(fit, LAW_POINTS, RESTITUTION, w))
         off = abs(law / expected - 1.0) * w
         if not law < 1.0 - LEAST_LOSS or not off <= allowed:
             return math.inf
@@ -157,38 +158,39 @@ def damped(
     return total
 
 
-def slows(a: AutomatonArrays, at: int, t: float, x: Floats, v: float, room: Sums) -> bool:
+def slows(p: Programs, at: int, t: float, x: Floats, v: float, room: Sums) -> bool:
     """Whether the restitution is below 1 down to the slowest impacts, at a state."""
     fall = (math.log(SLOWEST) - math.log(v)) / (SLOW_STEPS - 1)  # the quotient may be denormal
     for k in range(SLOW_STEPS):
-        if not restitution(a.programs, at, t, x, -v * math.exp(fall * k), room) < 1.0 - LEAST_LOSS:
+        if not restitution(p, at, t, x, -v * math.exp(fall * k), room) < 1.0 - LEAST_LOSS:
             return False
     return True
 
 
 def laws(
-    a: AutomatonArrays,
+    p: Programs,
     flow: int,
     at: int,
     column: int,
+    held: bool,
     curve: Matrix,
     t: float,
     x: Floats,
     v: float,
     r: float,
     room: Sums,
-    look: Look,
+    found: Matrix,
 ) -> bool:
     """Polynomials through the growth of the speed in a flight, and the restitution after it, in the
     place on the curve from which the flight begins; False where one is not to be had."""
-    p, state = a.programs, room.lines[STATE_THERE, : x.shape[0]]
-    look.laws[0, SPEED_GROWTH], look.laws[0, RESTITUTION] = 0.0, math.log(r)
+    state = room.lines[STATE_THERE, : x.shape[0]]
+    found[0, SPEED_GROWTH], found[0, RESTITUTION] = 0.0, math.log(r)
     for k in range(1, LAW_POINTS + 1):
         nodes(LAW_POINTS, room.small[CURVE_BASIS])
         w = room.small[CURVE_BASIS, k]
         when, speed = on_curve(p, at, curve, curve.shape[0] - 1, t, x, v, w, 1.0, room, state)
         status, length, u, _, _ = fly(
-            p, flow, column, False, when, state, speed, room.c, room.series[:0], room.sides[:0],
+            p, flow, column, held, when, state, speed, room.c, room.series[:0], room.sides[:0],
             0.0, LAST_TERMS, room,
         )  # fmt: skip
         if status < 0:
@@ -196,14 +198,14 @@ def laws(
         law = restitution(p, at, when + length, room.end, u, room)
         if not law > 0.0:
             return False
-        look.laws[k, SPEED_GROWTH], look.laws[k, RESTITUTION] = math.log(-u / speed), math.log(law)
+        found[k, SPEED_GROWTH], found[k, RESTITUTION] = math.log(-u / speed), math.log(law)
     from_values(LAW_POINTS, room.small)
     for k in range(LAW_POINTS + 1):
         for j in range(2):
             total = 0.0
             for i in range(LAW_POINTS + 1):
-                total += room.small[k, i] * look.laws[i, j]
-            look.laws[LAW_POINTS + 1 + k, j] = total
+                total += room.small[k, i] * found[i, j]
+            found[LAW_POINTS + 1 + k, j] = total
     return True
 
 

@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from ..errors import TraceError
 from ..lowering.derivatives import along
@@ -36,9 +35,9 @@ from ..lowering.graph import needed
 from ..lowering.jaxpr import read
 from ..lowering.sides import choosers, on_zero, one_sided
 from ..lowering.taylor import flat
+from ..rules import unit
 from ..rules.places import HARD, NONE
 from ..rules.sights import (
-    ASKED_IMPACTS,
     BOX_MARGIN,
     EXCESS,
     LAW_CAUTION,
@@ -55,9 +54,7 @@ from ..rules.sights import (
 )
 from ..rules.sums import LEAST_LOSS, SUM_FLOOR
 from ..rules.zeros import EPS
-from ..segment import from_values, nodes
 from .accumulate import Tail
-from .flight import fly
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
@@ -106,47 +103,14 @@ def law_error(tail: Tail) -> float:
     than the sum's own error allows, or is not below 1."""
     if not _depends(tail.field, tail.contact.name):
         return 0.0
-    series = _flown(tail)
-    if series is None:
-        return inf
-    speeds, laws = series
-    t_inf, x_inf = tail.t + tail.remaining, tail.x_inf.tolist()
-    most = LAW_CAUTION * max(tail.t_error, SUM_FLOOR * abs(t_inf))
-    later, off = tail.remaining / (1.0 - tail.r), 0.0
-    for w in (tail.r ** np.arange(min(tail.count, ASKED_IMPACTS))).tolist():
-        since, x, _ = tail.point(tail.r * w)
-        place = 2.0 * w - 1.0
-        bend, growth = (float(chebyshev.chebval(place, c)) for c in (tail.curve[:, -1], speeds))
-        law = tail.contact.law(tail.t + since, x.tolist(), -tail.v * w * exp(bend + growth))
-        expected = exp(float(chebyshev.chebval(place, laws)))
-        shift = abs(law / expected - 1.0) * w * later
-        if not law < 1.0 - LEAST_LOSS or not shift <= most:
-            return inf
-        off += shift
-    way = log(SLOWEST) - log(tail.v)  # of the quotient, which may be denormal
-    slow = tail.v * np.exp(np.linspace(0.0, way, SLOW_STEPS))
-    fit = all(tail.contact.law(t_inf, x_inf, -u) < 1.0 - LEAST_LOSS for u in slow.tolist())
-    return off if fit else inf
-
-
-def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
-    """Logarithms of the speed ratio over a flight, and of the restitution at its end.
-
-    Both are Chebyshev coefficients in ``2 w - 1``, where the flight begins at ``y(w)``. None if a
-    flight has no series.
-    """
-    rows = [[0.0, log(tail.r)]]
-    for w in nodes(LAW_POINTS)[1:].tolist():
-        since, x, v = tail.point(w)
-        flight = fly(tail.field, tail.column, tail.t + since, x.tolist(), v)
-        if flight is None:
-            return None
-        law = tail.contact.law(tail.t + since + flight.time, flight.x, flight.u)
-        if not law > 0:
-            return None
-        rows.append([log(-flight.u / v), log(law)])
-    growth, laws = (from_values(LAW_POINTS) @ np.array(rows)).T
-    return growth, laws
+    t_inf, later = tail.t + tail.remaining, tail.remaining / (1.0 - tail.r)
+    most = LAW_CAUTION * max(tail.t_error, SUM_FLOOR * abs(t_inf)) / later
+    about = tail.column, tail.field.project is not None, tail.curve, tail.t, tail.x, tail.v, tail.r
+    rules, laws = unit("sights"), np.empty((2 * LAW_POINTS + 2, 2))
+    with tail.programs() as (programs, room):
+        off = rules.damped(programs, 0, 1, *about, tail.count, most, room, laws)
+        fit = off < inf and rules.slows(programs, 1, t_inf, tail.x_inf, tail.v, room)
+    return off * later if fit else inf
 
 
 def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float) -> bool:
