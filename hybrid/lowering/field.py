@@ -173,6 +173,10 @@ class Field:
         """Pickle by origin."""
         return self.scene.field, (self.name, self.touching)
 
+    def flow(self, t: float, x: StateVector) -> np.ndarray:
+        """The time derivatives of the states."""
+        return np.array(self.rhs(t, x.tolist()))
+
     def onto(self, t: float, x: list[float], ends: bool = False) -> Any:
         """As ``project``, of a field that has one: an arc keeps this, which is pickled.
 

@@ -123,7 +123,7 @@ def settled(driver: Driver, field: Field, x: StateVector, jumped: Jumped) -> Non
         return
     late, there = max(left[name] for name in edges), driver.entry.x
     errors, impacts = 64 * EPS * np.abs(there), sum(watch.impacts[name] for name in edges)
-    driver.hides(t + late, late * np.abs(field.rhs(t, x.tolist())))
+    driver.hides(t + late, late * np.abs(field.flow(t, x)))
     found = CycleLimit(edges, 0.0, there, np.nan, 64 * EPS * abs(t), errors, impacts)
     driver.touched = driver.touched | _beside(driver, field, x, jumped)
     driver.entry = Entry(field, x, None, [], [])  # up to the limit none of them is held
@@ -148,7 +148,7 @@ def _left_at_rest(driver: Driver, field: Field, name: str, x: StateVector, jumpe
     left = _remaining(driver, driver.scene.contact(name), x, max(float(speed), 0.0), field)
     if left == np.inf:
         return np.inf
-    later = x + left * np.array(field.rhs(t, x.tolist()))
+    later = x + left * field.flow(t, x)
     return left if gap.lie(t + left, later.tolist())[2] <= LASTING_PULL * force else np.inf
 
 

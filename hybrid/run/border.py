@@ -30,7 +30,7 @@ def leaving(field: Field, t: float, x: StateVector) -> tuple[int, int, float] | 
     None if the flow goes on, or ends where no edge leads over the border.
     """
     near = BORDER * float(np.spacing(abs(t)))
-    flow = np.array(field.rhs(t, x.tolist()))
+    flow = field.flow(t, x)
     ahead = x + 2.0 * near * flow
     if all(map(isfinite, field.rhs(t + 2.0 * near, ahead.tolist()))):
         return None
@@ -48,7 +48,7 @@ def leaving(field: Field, t: float, x: StateVector) -> tuple[int, int, float] | 
 def within(field: Field, t: float, x: StateVector) -> StateVector:
     """The state, or, if rounding has put it beyond the border of its mode, where it is a few
     roundings of the time later."""
-    flow, spacing = np.array(field.rhs(t, x.tolist())), float(np.spacing(abs(t)))
+    flow, spacing = field.flow(t, x), float(np.spacing(abs(t)))
     known, roundings, there = np.isfinite(flow), 1.0, x
     finite = known.all()
     while not finite and roundings <= BORDER:

@@ -400,9 +400,9 @@ def _way(field: Field, t: float, x: StateVector) -> tuple[Matrix, float]:
     series = expand(field, t, x)
     if series is not None and np.isfinite(c := np.array(series[0])).all():
         return c, 0.5 * unit("lengths").step_length(c, len(x))
-    flow = np.array(field.rhs(t, x.tolist()))
+    flow = field.flow(t, x)
     step = _first_step(t, x, flow)
-    later = np.array(field.rhs(t + step, (x + step * flow).tolist()))
+    later = field.flow(t + step, x + step * flow)
     return np.array([x, later]).T, step * 2.0**MOVES
 
 
@@ -436,7 +436,7 @@ def before_impact(
         near = abs(guard.value(t, x)) <= noise
         return near or any(kink.value(t, x) == 0.0 for kink in guard.kinks)
 
-    flow = np.array(field.rhs(t, x.tolist()))
+    flow = field.flow(t, x)
     times = [abs(float(x[i]) / flow[i]) for i in guard.uses if flow[i]]
     step = max(float(np.spacing(abs(t))), EPS * min(times, default=0.0))
     for _ in range(MOVES):

@@ -64,4 +64,4 @@ def _off(
 
 
 def _rate(field: Field, t: float, x: StateVector) -> StateVector:
-    return np.array(field.rhs(t, field.along(t, x).tolist()))
+    return field.flow(t, field.along(t, x))

@@ -121,7 +121,7 @@ def puts_off(
     t, value, rate = driver.t, here[0], here[1]
     if NEAR * abs(after) > abs(value) or not rate:
         return True
-    there = x - value / rate * np.array(driver.entry.field.rhs(t, x.tolist()))
+    there = x - value / rate * driver.entry.field.flow(t, x)
     again = driver.scene.reset(guard.edge)(t, there.tolist())
     return bool(abs(guard.value(t, list(again))) > NEAR * abs(value))
 

@@ -246,7 +246,7 @@ class KinkedStepper(Stepper):
         if own.length > speck:
             return None
         t, x = self.t0 + self.tau, self.x
-        ahead = x + SPACINGS * speck * self._flow(t, x)
+        ahead = x + SPACINGS * speck * self.field.flow(t, x)
         for kink in self.changes:
             here = kink.value(t, x.tolist())
             if here * kink.value(t + SPACINGS * speck, ahead.tolist()) < 0.0:
@@ -261,7 +261,7 @@ class KinkedStepper(Stepper):
             was = before[kink.edge]
             if abs(kink.value(t, x.tolist())) <= HAS_COME * abs(was):
                 speck = self._speck(kink)
-                later = x + speck * self._flow(t, x)
+                later = x + speck * self.field.flow(t, x)
                 short = speck <= SHORT_OF * own.length
                 if short and kink.value(t + speck, later.tolist()) * was < 0.0:
                     return Cut(kink, 1.0, 1.0, -int(np.sign(was)))
@@ -295,7 +295,7 @@ class KinkedStepper(Stepper):
         for _ in range(MOVES):
             there = x + ahead * (rate + ahead * bend)
             now = self.t0 + (self.tau + ahead)  # as the method has it that starts there
-            later = self._flow(now, there)
+            later = self.field.flow(now, there)
             beyond = cut.kink.value(now, there.tolist()) * cut.side > 0
             if beyond and self._has_changed(cut.kink, rate, later, now, there):
                 break
@@ -321,7 +321,7 @@ class KinkedStepper(Stepper):
         speck = self._speck(kink)
         if speck > SHORT_OF * self.seen:  # a flight as short as rounding
             return True
-        later = self._flow(t + speck, x + speck * flow)
+        later = self.field.flow(t + speck, x + speck * flow)
         jumps = np.abs(later - before) > HAS_JUMPED * np.maximum(np.abs(later), np.abs(before))
         return bool(np.all(~jumps | (np.abs(later - flow) <= 0.5 * np.abs(later - before))))
 
@@ -330,11 +330,8 @@ class KinkedStepper(Stepper):
     ) -> tuple[StateVector, StateVector]:
         """The first two powers of the way from a state, of which at least ``more`` is gone: by the
         flow there and half the way ahead, as a flow may leave a kink at rest."""
-        flow, half = self._flow(t, x), 0.5 * ahead
-        later = self._flow(t + half, x + half * flow)
+        flow, half = self.field.flow(t, x), 0.5 * ahead
+        later = self.field.flow(t + half, x + half * flow)
         if STRAIGHT_BEYOND * ahead < more:
             return later, np.zeros_like(later)
         return flow, 0.5 * (later - flow) / half
-
-    def _flow(self, t: float, x: StateVector) -> StateVector:
-        return np.array(self.field.rhs(t, x.tolist()))

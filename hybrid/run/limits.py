@@ -93,9 +93,6 @@ def _keeps_law(
 
     sure = np.all((share * np.abs(way) > known) | (np.abs(way) <= known), axis=1)
 
-    def flow(t: float, x: StateVector) -> Numbers:
-        return np.array(field.rhs(t, x.tolist()))
-
     def reset(t: float, x: StateVector) -> Numbers:
         return _after(scene, guard, t, x)
 
@@ -109,7 +106,7 @@ def _keeps_law(
         s, y = points[max(end - 1, 0)]
         return given, _moved(law, s, y, known) + np.abs(law(late, y) - law(s, y))
 
-    rates, drift = sampled(flow, 64 * EPS * np.abs(x))
+    rates, drift = sampled(field.flow, 64 * EPS * np.abs(x))
     values, shift = sampled(_value(guard), known)
     made, change = sampled(reset, known)
     noise = 64 * EPS * np.abs(rates).max(axis=0) + drift

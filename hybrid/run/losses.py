@@ -67,7 +67,7 @@ class Losses:
             return -1.0
         _, rate, _ = guard.lie(t, x.tolist())
         sizes, uses = scene.rounding(guard, field), list(guard.uses)
-        moved = np.abs(np.array(field.rhs(t, x.tolist()))) * way
+        moved = np.abs(field.flow(t, x)) * way
         size = np.max(np.maximum(np.maximum(self.seen, np.abs(x)), moved)[uses], initial=0.0)
         here, far = sizes(t, x.tolist())[0], sizes(t, self.seen.tolist())[0]
         own = max(here, far) if np.isfinite(far) else here
@@ -109,6 +109,6 @@ class Losses:
             step = max((-value / rate for value, rate, _ in there if value * rate < 0), default=0.0)
             if step <= np.spacing(abs(t)):
                 break
-            x = x + step * np.array(field.rhs(t + moves * later, x.tolist()))
+            x = x + step * field.flow(t + moves * later, x)
             later += step
         return later, x

@@ -65,17 +65,14 @@ class Pace:
 
     def _leads_back(self, kink: Kink, tau: float, x: StateVector, h: float) -> bool:
         """Whether a state is next to a discontinuity to which the flow leads from both sides."""
-        t, flow = self.t0 + tau, self._flow(self.t0 + tau, x)
+        t, flow = self.t0 + tau, self.field.flow(self.t0 + tau, x)
         value, rate = self._moves(kink, t, x, flow, h)
         if not abs(value) <= FEW_STEPS * h * abs(rate):
             return False
         zero = -value / rate if rate else 0.0
         beside = [(t + zero + s, x + (zero + s) * flow) for s in (-h, h)]
-        sides = [np.sign(self._moves(kink, *there, self._flow(*there), h)) for there in beside]
+        sides = [np.sign(self._moves(kink, *there, self.field.flow(*there), h)) for there in beside]
         return all(side == -way != 0.0 for side, way in sides) and sides[0][0] != sides[1][0]
-
-    def _flow(self, t: float, x: StateVector) -> np.ndarray:
-        return np.array(self.field.rhs(t, x.tolist()))
 
     def _moves(
         self, kink: Kink, t: float, x: StateVector, flow: np.ndarray, h: float

@@ -66,7 +66,7 @@ def through(
     columns, size = of.columns if directions is None else 1 + of.size + chosen.shape[1], of.size
     out = np.empty((2 * size + 2, columns))
     start = tail.t, tail.x, tail.v, tail.r, tail.remaining, tail.curve, tail.x_inf
-    flow = np.array(tail.field.rhs(tail.t, tail.x.tolist()))
+    flow = tail.field.flow(tail.t, tail.x)
     across = of.guard(guard, tail.field)(tail.t, tail.x)[0, 1:]
     if directions is not None:
         across = np.append(across[:size], across[size:] @ chosen)

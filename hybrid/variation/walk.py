@@ -607,9 +607,7 @@ class Walk:
         rates = found[:, 1] + found[:, 2 : 2 + self.size] @ flow
         near = np.abs(found[:, 0]) < piece.beside * np.abs(rates)
         beyond = (1.0 if ends else -1.0) * piece.beside
-        beside, far = (
-            np.array(field.rhs(t + s, (x + s * flow).tolist())) for s in (beyond, 2.0 * beyond)
-        )
+        beside, far = (field.flow(t + s, x + s * flow) for s in (beyond, 2.0 * beyond))
         other = 2.0 * beside - far
         return found[near, 1:] if np.any(np.abs(other - flow) > NEAR * size) else found[:0, 1:]
 
@@ -620,9 +618,9 @@ class Walk:
         if piece is not None and field.changes:
             return piece.flow(field, ends)[0]
         if isinstance(part, TailPart):
-            return np.array(field.rhs(part.t0, part.tail.x.tolist()))
+            return field.flow(part.t0, part.tail.x)
         t, x = (part.t1, part.last) if ends else (part.t0, part.first)
-        return np.array(field.rhs(t, x.tolist()))
+        return field.flow(t, x)
 
     def piece(self, index: int, ends: bool) -> ArcPiece | None:
         """The last step of an arc if ``ends``, otherwise the first."""
