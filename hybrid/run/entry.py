@@ -436,9 +436,8 @@ def before_impact(
         near = abs(guard.value(t, x)) <= noise
         return near or any(kink.value(t, x) == 0.0 for kink in guard.kinks)
 
-    flow = field.flow(t, x)
-    times = [abs(float(x[i]) / flow[i]) for i in guard.uses if flow[i]]
-    step = max(float(np.spacing(abs(t))), EPS * min(times, default=0.0))
+    flow, uses = field.flow(t, x), list(guard.uses)
+    step = _first_step(t, x[uses], flow[uses])
     for _ in range(MOVES):
         back, beside = t - step, x - step * flow
         if not zero(back, beside.tolist()):
