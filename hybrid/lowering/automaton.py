@@ -310,7 +310,7 @@ class Tables:
             ]
         elif guard.kind is Kind.EDGE and not (judged or (slides and self._again(guard))):
             # an edge that is watched behind it, too, is judged
-            programs[0] = self._reset(field, guard)
+            programs[0] = self._law(field, "reset", guard.edge)
         sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
         kind, crossing = NUMBERED[guard.kind], DIRECTIONS[guard.crossing]
         to = UNKNOWN if self._lead(field, guard) else NONE
@@ -330,12 +330,7 @@ class Tables:
     def _when(self, field: Field, guard: Guard) -> int:
         """The number of the program of an edge's condition; ``NONE`` if it has none, -1 if the
         condition has no program."""
-        if guard.when is None:
-            return NONE
-        code, what = self.scene.code, ("when", guard.edge)
-        return self._of_values(
-            field, what, lambda: code.mode(field.mode).values(code.closed(*what))
-        )
+        return NONE if guard.when is None else self._law(field, "when", guard.edge)
 
     def _again(self, guard: Guard) -> bool:
         """Whether an edge is also watched in the mode to which it leads."""
@@ -345,25 +340,25 @@ class Tables:
 
     def _times(self, field: Field, clock: Guard) -> int:
         """The number of the program of a clock's times; ``HARD`` if there is none."""
-        graph, key = self.scene.code.mode(field.mode), ("clock", clock.edge)
-        number = self._of_values(field, key, lambda: graph.values(self.scene.code.closed(*key)))
+        number = self._law(field, "clock", clock.edge)
         return HARD if number < 0 else number
 
     def _clock(self, field: Field, place: int, times: int, base: int) -> list[int]:
         """The row of a clock in the table of guards."""
         clock, slides = field.clocks[place], field.project is not None and not field.held
         judged = self._again(clock) if slides else bool(field.held and self.scene.spec.lags)
-        program = -1 if judged else self._reset(field, clock)
+        program = -1 if judged else self._law(field, "reset", clock.edge)
         own = (self._fields[base][GUARDS_END] if field.held else len(self._rows)) + place
         to, uses = UNKNOWN if self._lead(field, clock) else NONE, [len(self._uses)] * 2
         shape, when = [0, 0, 1, to, program, -1, -1, *uses, 0], self._when(field, clock)
         return [CLOCK, *shape, times, 0, UNKNOWN, NONE, 0, own, when, 0]
 
-    def _reset(self, field: Field, guard: Guard) -> int:
-        """The number of the program of an edge's reset."""
-        code, what = self.scene.code, ("reset", guard.edge)
-        values = lambda: code.mode(field.mode).values(code.closed(*what))  # noqa: E731
-        return self._of_values(field, what, values)
+    def _law(self, field: Field, *what: str) -> int:
+        """The number of the program of a law of an edge, as its reset; -1 if it has no program."""
+        code = self.scene.code
+        return self._of_values(
+            field, what, lambda: code.mode(field.mode).values(code.closed(*what))
+        )
 
     def _surface(self, field: Field) -> int:
         """The number of the program that projects onto the sliding surface; -1 if the field does
