@@ -260,12 +260,6 @@ def _greater(a: Any, b: Any) -> bool | None:
     return True if a > b else False if a <= b else None
 
 
-def _at_least(a: Any, b: Any) -> bool | None:
-    if isinstance(a, bool) or isinstance(b, bool):
-        a, b = arb(int(a)), arb(int(b))
-    return True if a >= b else False if a < b else None
-
-
 def _equal(a: Any, b: Any) -> bool | None:
     if a is None or b is None:
         return None
@@ -278,6 +272,18 @@ def _not(a: Any) -> Any:
     if isinstance(a, arb):
         return Undefined("a bitwise operation on numbers")
     return None if a is None else not a
+
+
+def comparisons(greater: Callable[..., Any], equal: Callable[..., Any]) -> dict[str, Any]:
+    """All comparisons, by whether the first value is greater and whether both are equal."""
+    return {
+        "gt": greater,
+        "ge": lambda a, b: _not(greater(b, a)),
+        "lt": lambda a, b: greater(b, a),
+        "le": lambda a, b: _not(greater(a, b)),
+        "eq": equal,
+        "ne": lambda a, b: _not(equal(a, b)),
+    }
 
 
 def _and(a: Any, b: Any) -> Any:
@@ -348,12 +354,7 @@ BALLS: dict[str, Callable[..., Any]] = {
     "pick": _entry,
     "knot": _entry,
     "is_finite": lambda a: not isinstance(a, arb) or bool(a.is_finite()),
-    "gt": _greater,
-    "ge": _at_least,
-    "lt": lambda a, b: _greater(b, a),
-    "le": lambda a, b: _at_least(b, a),
-    "eq": _equal,
-    "ne": lambda a, b: _not(_equal(a, b)),
+    **comparisons(_greater, _equal),
     "and": _and,
     "or": lambda a, b: _not(a) if isinstance(a, arb) else _not(_and(_not(a), _not(b))),
     "xor": _xor,

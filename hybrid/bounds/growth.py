@@ -15,7 +15,7 @@ from typing import Any
 import attrs
 
 from ..lowering.graph import Graph, needed
-from .balls import BALLS, Undefined, high, low, span
+from .balls import BALLS, Undefined, comparisons, high, low, span
 from .interval import OF_ONE_NODE
 
 #: Growth exponent assigned to logarithms, which grow more slowly than any power; it is below the
@@ -368,11 +368,6 @@ def _greater(a: Any, b: Any) -> bool | None:
     return True if a.low > b.high else False if a.high <= b.low else None
 
 
-def _at_least(a: Any, b: Any) -> bool | None:
-    a, b = _number(a), _number(b)
-    return True if a.low >= b.high else False if a.high < b.low else None
-
-
 def _equal(a: Any, b: Any) -> bool | None:
     a, b = _number(a), _number(b)
     if a.low > b.high or b.low > a.high:
@@ -380,17 +375,8 @@ def _equal(a: Any, b: Any) -> bool | None:
     return True if a.low == a.high == b.low == b.high else None
 
 
-def _not(a: bool | None) -> bool | None:
-    return None if a is None else not a
-
-
 GROWTH_TESTS: dict[str, Callable[..., Any]] = {
-    "gt": _greater,
-    "ge": _at_least,
-    "lt": lambda a, b: _greater(b, a),
-    "le": lambda a, b: _at_least(b, a),
-    "eq": _equal,
-    "ne": lambda a, b: _not(_equal(a, b)),
+    **comparisons(_greater, _equal),
     "is_finite": lambda a: True,
     **{op: (lambda *a, op=op: _logic(op, *a)) for op in ("and", "or", "xor", "not")},
 }
