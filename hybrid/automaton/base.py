@@ -13,11 +13,11 @@ from ..errors import PLOT, DeclarationError, OptionError, ParameterError, need
 from . import outputs, refusals, signals, trace
 from .body import AutomatonMeta, given_twice, kind_of
 from .builder import Builder
-from .captured import Captured, captured
-from .chance import DRAWS, counted, draws
+from .captured import Captured, captured, takes
+from .chance import DRAWS, counted
 from .clocks import require_clocks
 from .markers import State, is_parameter
-from .past import Asking, Lags, Past, looks_back, plain
+from .past import Asking, Lags, Past, plain
 from .spec import ClockSpec, ContactSpec, EdgeSpec, Spec
 
 #: What to do where discrete variables are not taken.
@@ -193,16 +193,16 @@ class _Traced:
         functions = list(_functions(self.spec)) if self.spec.states else []
         functions = [f for f in functions if not any(f[2] is other for other in self.skipped)]
         lags = Lags(self.spec)
-        if self.spec.signals and any(looks_back(f[2]) for f in functions):
+        if self.spec.signals and any(takes(f[2], "past") for f in functions):
             self.faults.append(
                 f"signal {self.spec.signals[0].name}: a model that looks into the past can have no "
                 "signal yet: write it as a function of t"
             )
             return
         for each in functions:
-            if looks_back(each[2]):
+            if takes(each[2], "past"):
                 self._guarded(self._ask, lags, each)
-        functions = [f for f in functions if not looks_back(f[2]) or f[:2] in lags.numbers]
+        functions = [f for f in functions if not takes(f[2], "past") or f[:2] in lags.numbers]
         self.spec = attrs.evolve(self.spec, lags=tuple(lags.found))
         for each in functions:
             self._guarded(self._add, lags, each)
@@ -244,7 +244,7 @@ class _Traced:
         others = {"output": outputs.numbers, "when": trace.condition}
         shaped = others.get(kind, trace.scalar)
         call = trace.vector(self.spec, call, kind == "flow") if whole else shaped(call)
-        if draws(function):
+        if takes(function, "draw"):
             call = counted(self.spec.place(DRAWS), call)
         closed = trace.trace(self.spec, call, extra)
         trace.require_wide(self.cls, closed, function)
@@ -352,7 +352,7 @@ def _functions(spec: Spec) -> Iterator[tuple[str, str, Any, bool, int]]:
     for switching in spec.switchings:
         yield "surface", switching.name, switching.surface, False, 0
     for output in spec.outputs:
-        if not looks_back(output.function):  # a fault that outputs.faults reports
+        if not takes(output.function, "past"):  # a fault that outputs.faults reports
             yield "output", output.name, output.function, False, 0
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import ParameterError
-from .chance import DOCS, draws
+from .captured import takes
+from .chance import DOCS
 from .clocks import clock, faults
 from .discrete import Discrete
 from .markers import (
@@ -25,7 +26,6 @@ from .markers import (
     name_of,
 )
 from .outputs import Output
-from .past import looks_back
 from .reals import reals
 from .refusals import misplaced
 from .signals import declared, placeholder
@@ -66,8 +66,9 @@ class Builder:
     @property
     def drawing(self) -> bool:
         """Whether a reset or a restitution draws random numbers."""
-        laws = (marker.restitution for marker in self.of(ContactMarker))
-        return any(map(draws, (*(marker.reset for marker in self.of(EdgeMarker)), *laws)))
+        laws = [marker.restitution for marker in self.of(ContactMarker)]
+        laws += [marker.reset for marker in self.of(EdgeMarker)]
+        return any(takes(law, "draw") for law in laws)
 
     def build(self) -> Spec:
         states, offset = [], 0
@@ -361,8 +362,8 @@ class Builder:
         self, where: str, function: Any, arguments: tuple[str, ...], draw: bool = False
     ) -> None:
         wanted = f"(self, {', '.join(arguments)})"
-        past = {"past": None} if looks_back(function) else {}
-        if draw and draws(function):
+        past = {"past": None} if takes(function, "past") else {}
+        if draw and takes(function, "draw"):
             past["draw"] = None
         if not callable(function):
             self.faults.append(f"{where}: {function!r} is not a function {wanted}")

@@ -36,6 +36,14 @@ SHOWN_CHARACTERS = 40
 COMPARED_DEPTH = 3
 
 
+def takes(function: Any, name: str) -> bool:
+    """Whether a function of a model has a parameter of that name."""
+    try:
+        return name in inspect.signature(function).parameters
+    except (TypeError, ValueError):
+        return False
+
+
 @attrs.frozen(eq=False)
 class Captured:
     """A name that a function reads, with its value when the class was made.

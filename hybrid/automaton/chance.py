@@ -8,7 +8,6 @@ count of drawing jumps).
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from typing import Any
 
@@ -26,14 +25,6 @@ WORD = 2.0**26
 MULTIPLIERS = float(0xD2511F53 >> 6 | 1), float(0xCD9E8D57 >> 6 | 1)
 KEY_STEPS = float(0x9E3779B9 >> 6 | 1), float(0xBB67AE85 >> 6 | 1)
 PHILOX_ROUNDS = 16
-
-
-def draws(function: Any) -> bool:
-    """Whether a function of a model takes ``draw``."""
-    try:
-        return "draw" in inspect.signature(function).parameters
-    except (TypeError, ValueError):
-        return False
 
 
 def counted(place: int, call: Any) -> Any:

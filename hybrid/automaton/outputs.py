@@ -14,8 +14,8 @@ import attrs
 import numpy as np
 
 from ..errors import OptionError
+from .captured import takes
 from .markers import State, _Named
-from .past import looks_back
 from .reals import short
 from .record import Record
 from .spec import Spec
@@ -80,7 +80,7 @@ def faults(markers: Mapping[str, Any], inherited: Mapping[str, Any]) -> Iterator
         kinds = {type(each) for each in (marker, before)}
         if getattr(marker, "hides", False) or {State, Output} <= kinds:
             yield f"output {name}: {name} is a state; give the output another name"
-        if isinstance(marker, Output) and looks_back(marker.function):
+        if isinstance(marker, Output) and takes(marker.function, "past"):
             yield f"output {name}: takes past; an output depends on t and s: (self, t, s)"
 
 

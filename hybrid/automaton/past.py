@@ -7,7 +7,6 @@ with delays is therefore an ordinary model for every reader of the trace.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
@@ -16,6 +15,7 @@ import attrs
 import numpy as np
 
 from ..rules.places import WINDOW_DEGREE
+from .captured import takes
 from .discrete import number
 from .record import Record
 
@@ -37,14 +37,6 @@ class LagSpec:
     name: str
     value: float | None = None
     parameter: str | None = None
-
-
-def looks_back(function: Any) -> bool:
-    """Whether a function of a model takes ``past``."""
-    try:
-        return "past" in inspect.signature(function).parameters
-    except (TypeError, ValueError):
-        return False
 
 
 def window_shapes(lags: Iterable[LagSpec], dimension: int) -> tuple[tuple[int, ...], ...]:
@@ -179,6 +171,6 @@ def _is_known(lag: Any) -> bool:
 
 def asking(function: Callable[..., Any], past: Any) -> Callable[..., Any]:
     """``function`` with its argument ``past`` bound, if it takes one."""
-    if not looks_back(function):
+    if not takes(function, "past"):
         return function
     return partial(function, past=past)

@@ -10,7 +10,8 @@ from typing import Any
 import attrs
 import numpy as np
 
-from .chance import DOCS, draws
+from .captured import takes
+from .chance import DOCS
 from .discrete import typed
 from .markers import Crossing, Times
 from .past import LagSpec, window_shapes
@@ -252,7 +253,7 @@ class Spec:
     def chances(self) -> tuple[str, ...]:
         """The edges whose resets, and the contacts whose restitutions, draw random numbers."""
         laws = ((e.name, getattr(e, law, None)) for e in self.transitions for law in LAWS)
-        return tuple(name for name, law in laws if draws(law))
+        return tuple(name for name, law in laws if takes(law, "draw"))
 
     @cached_property
     def contacts(self) -> tuple[str, ...]:

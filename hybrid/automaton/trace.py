@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import TraceError
-from .captured import may_vary, values
-from .chance import Draw, draws
+from .captured import may_vary, takes, values
+from .chance import Draw
 from .discrete import require_kind, traced
 from .past import Past, asking
 from .signals import Present
@@ -62,7 +62,7 @@ def caller(
         record = past(spec, t, windows, lags)
         seeing = asking(function, record)
         state = spec.record(x, traced)
-        more = {"draw": Draw(state)} if draws(function) else {}
+        more = {"draw": Draw(state)} if takes(function, "draw") else {}
         now = [Present(*each) for each in zip(given, [t] * len(given), own[count:], strict=True)]
         return seeing(instance(cls, names, (*own[:count], *now)), t, state, *extra, **more)
 
