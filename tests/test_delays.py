@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.delay.memory import Memory
+from hybrid.rules.places import NEXT_TO_NOTHING
 from models.pyragas import Pyragas
 
 from . import delayed
@@ -674,3 +676,40 @@ def test_a_floor_that_an_impact_moves_off_is_struck_where_it_is_then(solver, r):
         assert jump.t == pytest.approx(t, abs=1e-7)
     assert t + (v + math.sqrt(v * v + 20.0 * (x - floor))) / 10.0 > 3.0
     assert not run.zeno
+
+
+class NoLag(hy.Automaton):
+    """A ball that sees its speed through a lag that is 0 up to ``since``, and grows then; what it
+    sees cancels while the lag is 0."""
+
+    x = hy.state()
+    v = hy.state()
+    lag: float = hy.parameter(0.0)
+    since: float = hy.parameter(0.0)
+
+    @hy.mode
+    def flight(self, t, s, past):
+        return s.v, -8.0 + past(self.lag * jnp.maximum(t - self.since, 0.0)).v - s.v
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.7)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("lag", [0.0, 0.5])
+@pytest.mark.parametrize("t0", [-50.0, 1.0, 30.0, 100.0, 1e4])
+def test_a_lag_of_zero_is_the_present_state_up_to_rest(t0, lag, solver):
+    """From 0.25 m a ball falls for 0.25 s and rests after ``(1 + r) / (1 - r)`` times that. At the
+    end flights are shorter than any guess at what a lag of 0 sees. The speed that is seen is off by
+    up to a tenth of ``rtol`` and ``atol`` of 1e-9, as is the time, beside its own rounding."""
+    model, rests = NoLag(lag=lag, since=t0 + 1.45), t0 + 0.25 * 1.7 / 0.3
+    run = hy.simulate(model, {"x": 0.25, "v": 0.0}, (t0, t0 + 2.0), solver=solver, rtol=1e-9)
+    assert run.status is hy.Status.REACHED_END
+    assert run.zeno[0].t == pytest.approx(rests, rel=0, abs=1e-8 + 100 * np.spacing(abs(t0)))
+    assert tuple(run.final) == (0.0, 0.0)
+
+
+def test_a_lag_of_nearly_zero_that_cannot_be_seen_through_says_so(monkeypatch):
+    """What cannot be found is told with the mode, the lag and a way out, and ends the run."""
+    monkeypatch.setattr(Memory, "_read", lambda self: NEXT_TO_NOTHING)
+    with pytest.raises(hy.FlowError, match=r"mode flight, t = 0.0, .*the lag .* is 0\.0, .*s\.x"):
+        hy.simulate(NoLag(), {"x": 0.25, "v": 0.0}, (0.0, 2.0))

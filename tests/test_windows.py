@@ -9,7 +9,8 @@ import pytest
 import hybrid as hy
 from hybrid.delay import memory, pieces
 from hybrid.rules.load import Library
-from hybrid.rules.places import END
+from hybrid.rules.places import END, PAST_FLOATS, PAST_INTS
+from hybrid.rules.windows import MOST_READS, stuck
 from hybrid.run import lookback, machine
 from models.delay_bounce import DelayBounce
 from models.delay_jump import DelayJump
@@ -216,3 +217,11 @@ def test_dense_output_at_rest_on_what_the_past_moves(solver):
     run = hy.simulate(Lean(), start, (0.0, 7.0), history=history, rtol=1e-9, **solver)
     at = np.linspace(run.zeno[0].t + 0.01, 7.0, 50)
     np.testing.assert_allclose(run(at).y, 0.2 * np.sin(at - 0.7), rtol=0, atol=1e-6)
+
+
+def test_windows_from_one_time_come_to_an_end():
+    """Windows are read from one time no more than a thousand times in a row, unless it jumps."""
+    past = SimpleNamespace(ints=np.zeros(PAST_INTS, dtype=int), floats=np.zeros(PAST_FLOATS))
+    assert not any(stuck(1.0, past) for _ in range(MOST_READS + 1))
+    assert stuck(1.0, past)
+    assert not stuck(2.0, past)

@@ -17,7 +17,7 @@ See ``docs/notes/delays.md``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from math import isfinite
@@ -60,6 +60,7 @@ from ..rules.places import (
     PAST_INTS,
     PIECES_KEPT,
     PIECES_KNOWN,
+    READS,
     RECORD_NOT_FINITE,
     REST_OF_GUESSES,
     ROUGH,
@@ -127,6 +128,8 @@ class Then:
 class Memory:
     """The record of a run with delays, and the windows on it.
 
+    ``mode`` says in which mode the run is, for messages.
+
     Attributes
     ----------
     until : float
@@ -144,10 +147,16 @@ class Memory:
     """
 
     def __init__(
-        self, scene: Scene, plan: Plan, order: int, history: Sequence[Piece], x: StateVector
+        self,
+        scene: Scene,
+        plan: Plan,
+        order: int,
+        history: Sequence[Piece],
+        x: StateVector,
+        mode: Callable[[], str],
     ) -> None:
         spec, code = scene.spec, scene.code
-        self.scene, self.plan, self.order = scene, plan, order
+        self.scene, self.plan, self.order, self._mode = scene, plan, order, mode
         self.moving, self.seen = code.moving, code.seen
         self.all_seen = sorted({element for seen in self.seen for element in seen})
         hidden = flat([*scene.parameters[: len(spec.parameters)], *blank(spec.lags, len(x))])
@@ -275,6 +284,7 @@ class Memory:
         it is forgotten."""
         if self.told:
             return
+        self.ints[READS] = 0
         if self.plan.memory == "restart":
             self._restart(t, after)
             return
@@ -463,9 +473,12 @@ class Memory:
                 "or larger tolerances"
             )
         if status == NEXT_TO_NOTHING:
+            shortest = int(np.argmin(self._now))
             raise FlowError(
-                f"{model}, t = {t!r}, {self.scene.spec.record(x)}: a lag is nearly zero, and "
-                "the state seen through it cannot be found; use the present state for a lag of 0"
+                f"{model}, mode {self._mode()}, t = {t!r}, {self.scene.spec.record(x)}: the lag "
+                f"{self.names[shortest]} is {float(self._now[shortest])!r}, and the state seen "
+                "through it cannot be found; where it is 0 write the present state, s.x for "
+                "past(lag).x, or keep it longer"
             )
 
     def _supply_values(self) -> OptionError | None:

@@ -50,8 +50,9 @@ GUESS_MARGIN = 1e4
 GUESS_REST, LONGEST_REST, EASY = 30, 1 << 16, 2
 
 #: Consecutive windows of one step before longer ones are guessed; the first length of these, in
-#: lags; and where a lag vanishes, relative to the run.
-TIGHT_WINDOWS, FIRST_GUESS, VANISHING_WINDOW = 3, 4.0, 1e-4
+#: lags; and where a lag vanishes, relative to the run, and the shortest, in tolerances on equal
+#: times.
+TIGHT_WINDOWS, FIRST_GUESS, VANISHING_WINDOW, GUESS_SPAN = 3, 4.0, 1e-4, 100.0
 
 
 def wanted(t: float, past: PastArrays) -> None:
@@ -69,6 +70,8 @@ def wanted(t: float, past: PastArrays) -> None:
     if floats[STRIDE] == 0.0 and (nothing or ints[TIGHT] >= TIGHT_WINDOWS):
         least = VANISHING_WINDOW * (floats[FINAL] - floats[STARTED]) if nothing else 0.0
         floats[STRIDE] = max(FIRST_GUESS * shortest, least)
+    if nothing:  # behind a flight that was shorter than any guess
+        floats[STRIDE] = max(floats[STRIDE], GUESS_SPAN * slack(t))
 
 
 def guess(t: float, b: float, past: PastArrays) -> None:

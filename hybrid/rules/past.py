@@ -66,6 +66,7 @@ from .places import (
     OFF,
     PHASE,
     PROOF,
+    READS,
     RECORD_NOT_FINITE,
     SAME,
     SERVES_UNTIL,
@@ -237,6 +238,7 @@ def behind(a: AutomatonArrays, now: Now, room: Room, left: Left, past: PastArray
     """Read the past again after a jump; returns the status of :func:`.read`."""
     place, t, until = now.ints[JUMPS_MADE] - 1, time(now), past.floats[SERVES_UNTIL]
     guard, forgets = left.fired[place], past.ints[BEHIND] == FORGETS
+    past.ints[READS] = 0
     if not forgets and t < until < past.floats[FINAL] and until - t <= 2.0 * slack(t):
         field = field_of(a, guard)
         if placed(a, field, t, left.before[place], room, past):

@@ -201,7 +201,8 @@ GUESSED_FROM = 11  # guesses: the time at which the current window began
 ROUGH_FROM = 12  # where the record was first not smooth
 ASKED_FROM = 13  # values of the record are asked for from this time
 ASKED_UNTIL = 14  # until this one
-PAST_FLOATS = 15
+READ_FROM = 15  # windows were last read from this time
+PAST_FLOATS = 16
 
 #: Integers of the record of the past.
 PIECES_KEPT = 0  # pieces recorded
@@ -225,7 +226,8 @@ ASKING = 17  # the lag whose values are asked for; -1 if none
 ASKED = 18  # the first piece asked for
 ASKED_UP_TO = 19  # the last
 BEHIND = 20  # what the flow reads behind a jump: SAME, ANEW or FORGETS
-PAST_INTS = 21
+READS = 21  # times that windows have been read from one time, with no jump between
+PAST_INTS = 22
 
 #: BEHIND: what the flow reads of the past behind a jump.
 SAME = 0  # the same windows: all lags are constant

@@ -16,6 +16,7 @@ from .guesses import (
     AIMED_LENGTH,
     FRAME,
     GUESS_MARGIN,
+    GUESS_SPAN,
     LONGEST,
     SINCE_PLACE,
     TO_PLACE,
@@ -42,6 +43,8 @@ from .places import (
     NEXT_TO_NOTHING,
     PIECES_KEPT,
     PIECES_KNOWN,
+    READ_FROM,
+    READS,
     RECORD_NOT_FINITE,
     ROUGH,
     ROUGH_FROM,
@@ -83,9 +86,12 @@ AT_THE_END = 1e2
 #: that ahead.
 LONGEST_WINDOW, SIDE = 0.1, 0.25
 
-#: Guesses of one window before a shorter one is tried; and the shortest, in tolerances on equal
-#: times.
-MOST_GUESSES, GUESS_SPAN = 12, 100.0
+#: Guesses of one window before a shorter one is tried.
+MOST_GUESSES = 12
+
+#: Most windows in a row from one time, with no jump between: a thousandth of the run is cut by four
+#: and guessed a dozen times down to rounding in some 400.
+MOST_READS = 1000
 
 #: Number of rough places of a record that are allowed within this fraction of the run.
 ROUGH_MOST, ROUGH_NEAR = 20, 1e-3
@@ -106,10 +112,13 @@ def read(t: float, again: bool, past: PastArrays) -> int:
     -------
     status : int
         ``FOUND``; ``ASKS_VALUES``, to be called again once ``past.told`` has the values of the
-        record at the requested nodes; ``RECORD_NOT_FINITE`` or ``ROUGH``, at ``ASKED_FROM``.
+        record at the requested nodes; ``RECORD_NOT_FINITE`` or ``ROUGH``, at ``ASKED_FROM``;
+        ``NEXT_TO_NOTHING`` if the run does not get away from this time.
     """
     floats, ints, asking = past.floats, past.ints, past.ints[ASKING]
     if asking < 0:
+        if stuck(t, past):
+            return NEXT_TO_NOTHING
         ints[GUESSED] = 0
         if not again:
             ints[GUESSES], floats[WRONG] = 0, math.inf
@@ -131,6 +140,13 @@ def read(t: float, again: bool, past: PastArrays) -> int:
     floats[SERVES_UNTIL] = served(max(end, t + slack(t)), past)
     ints[STEPPED], ints[PIECES_KEPT] = 0, ints[PIECES_KNOWN]
     return FOUND
+
+
+def stuck(t: float, past: PastArrays) -> bool:
+    """Note that windows are read from a time; returns whether they have been too often."""
+    past.ints[READS] = past.ints[READS] + 1 if t == past.floats[READ_FROM] else 0
+    past.floats[READ_FROM] = t
+    return past.ints[READS] > MOST_READS
 
 
 def served(end: float, past: PastArrays) -> float:
@@ -375,20 +391,21 @@ def confirmed(t: float, length: float, past: PastArrays) -> int:
     """
     floats, ints, before = past.floats, past.ints, past.floats[WRONG]
     floats[WRONG] = wrong(t, past)
-    stuck = floats[WRONG] > 0.5 * before
-    if floats[WRONG] <= 1.0 or (stuck and floats[WRONG] <= 1.0 / WINDOW_SHARE):
+    stays_wrong = floats[WRONG] > 0.5 * before
+    if floats[WRONG] <= 1.0 or (stays_wrong and floats[WRONG] <= 1.0 / WINDOW_SHARE):
         pays(length, past)
         return HOLDS
     ints[GUESSES] += 1
-    fired = length < 0.9 * (floats[SERVES_UNTIL] - t)
-    if not fired and ints[GUESSES] <= MOST_GUESSES and not stuck:
+    least = GUESS_SPAN * slack(t)
+    fired = least < length < 0.9 * (floats[SERVES_UNTIL] - t)
+    if not fired and ints[GUESSES] <= MOST_GUESSES and not stays_wrong:
         return read(t, True, past)
     ints[PIECES_KEPT] = ints[PIECES_KNOWN]
     if fired:
-        floats[STRIDE] = max(length, GUESS_SPAN * slack(t))
+        floats[STRIDE] = length
     else:
         floats[STRIDE] *= 0.25
         floats[MOST] = 2.0 * floats[STRIDE]
-        if floats[STRIDE] < GUESS_SPAN * slack(t) and floats[SHORTEST_LAG] <= slack(t):
+        if floats[STRIDE] < least and floats[SHORTEST_LAG] <= slack(t):
             return NEXT_TO_NOTHING
     return read(t, False, past)

@@ -120,7 +120,8 @@ class Driver:
         """
         if self.history is not None:
             order = self.solver.order
-            self.record.memory = Memory(self.scene, self.plan, order, self.history, x)
+            known = self.scene, self.plan, order, self.history, x
+            self.record.memory = Memory(*known, lambda: parted(self.mode)[0])
         base, held = parted(mode)
         self.enter(base, x, came() if came else Jumped(held=held, starting=True))
         try:
