@@ -53,6 +53,10 @@ GUARD_HALVINGS = 128
 #: zero; otherwise it touches. Far above rounding, far below the resolution of a step.
 WIDEST = 1e-4
 
+#: Rounding of a deciding function that rests on zero: by how much of itself each number of which it
+#: is made may be off, as a sum of some terms is.
+MOVED_BY = 8.0 * EPS
+
 #: A guard that becomes undefined (``sqrt`` at 0) counts as zero there if it is this small relative
 #: to its largest value. Rounding resolves places 1e-16 from the end, where even a fourth root is
 #: 1e-4.
@@ -135,9 +139,54 @@ def zeros(
         has exceeded this.
     """
     places: list[Cut] = []
-    for kink in guard.kinks:
+    for kink in moving(guard.kinks, segment, t0, ends):
         places = among(places, cuts(kink, segment, t0, scale, ends, 0.0, places))
     yield from _between(guard, segment, t0, order, scale, tolerance, ends, places, noise)
+
+
+def moving(
+    kinks: Iterable[Kink], segment: Segment, t0: float, ends: dict[Any, float]
+) -> Iterator[Kink]:
+    """The deciding functions that have zeros along a step to be looked for.
+
+    One that rests on zero has none: its signs are rounding. Where they choose the formula of
+    another, that is looked at with the formula of one side. ``ends`` forgets it, as its signs may
+    have been of the other side.
+    """
+    resting: list[Any] = []
+    for kink in kinks:
+        own = kink.beside(resting)
+        if own is not kink:
+            ends.pop(kink.edge, None)
+        if rests(own, segment, t0):
+            resting.append(kink.edge)
+        else:
+            yield own
+
+
+def rests(kink: Kink, segment: Segment, t0: float) -> bool:
+    """Whether a deciding function is nowhere along a step further from zero than by rounding."""
+    places = [(t0 + tau, segment(tau).tolist()) for tau in (segment.end, segment.start)]
+    blur = 0.0
+    for t, x in places:
+        blur = max(blur, blurs(kink, t, x))
+        if not abs(kink.value(t, x)) <= blur:
+            return False
+    between = segment.start + segment.length * nodes(SAMPLED)[1:-1]
+    return all(abs(kink.value(t0 + tau, segment(tau).tolist())) <= blur for tau in between.tolist())
+
+
+def blurs(kink: Kink, t: float, x: list[float]) -> float:
+    """What some roundings of the time and of the state make of a deciding function. Over a place at
+    which it jumps they lead one way only."""
+    here, total = kink.value(t, x), 0.0
+    for i in (-1, *kink.uses):
+        apart = []
+        for share in (1.0 - MOVED_BY, 1.0 + MOVED_BY):
+            there = [v * share if j == i else v for j, v in enumerate(x)]
+            apart.append(abs(kink.value(t * share if i < 0 else t, there) - here))
+        total += min(apart)
+    return total
 
 
 def cuts(

@@ -237,3 +237,35 @@ def test_a_switch_near_the_top_of_a_wave_is_passed_by_taylor_series(share):
     # of a switch at an angle a the time is known to rounding / cos(a), 2e-12 for the last
     assert abs(run.final.v - 2.0 * np.arccos(share) / 3.0) < 1e-11
     assert run.stats.steps < 40
+
+
+ON, READ = np.array([-1.0, 0.0, 1.0, 2.0, 3.0]), np.array([-0.5, 0.0, 1.0, 1.5, 1.2])
+
+
+class OnAKnot(hy.Automaton):
+    """``p`` comes to rest on the knot 1 of a table, and ``q`` moves along with its knot 0; below 1,
+    and at 0, the table is its argument. An alarm rings as ``z`` reaches 10 and what ``p`` shows."""
+
+    p = hy.state()
+    q = hy.state()
+    z = hy.state()
+    rings = hy.discrete(0)
+
+    @hy.mode
+    def runs(self, t, s):
+        slides = jnp.interp(s.q - t, ON, READ)
+        return 4.0 * (1.0 - s.p), 1.0 - slides, jnp.interp(s.p, ON, READ)
+
+    @hy.edge(runs, guard=lambda self, t, s: 10.0 + jnp.interp(s.p, ON, READ) - s.z)
+    def alarm(self, t, s):
+        return s.replace(rings=s.rings + 1, z=0.0)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_an_argument_of_a_table_may_rest_on_a_knot_or_move_along_with_it(solver):
+    """Its signs there are rounding, and end no step. ``p`` is ``1 - exp(-4 t)`` and ``z`` its
+    integral, so the alarm rings at 11.25; a hundred steps at 1e-9 each are off by 1e-7."""
+    run = hy.simulate(OnAKnot(), {"p": 0.0, "q": 0.0, "z": 0.0}, (0.0, 20.0), solver=solver)
+    assert run.jumps.t == pytest.approx([11.25], rel=0, abs=1e-7)
+    assert [*run.final][:3] == pytest.approx([1.0, 20.0, 8.75], rel=0, abs=1e-7)
+    assert run.stats.steps < 2000

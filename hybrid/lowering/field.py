@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +46,10 @@ class Kink:
         Elements of the state that it depends on.
     change : "jumps", "bends" or "ends"
         What the guard may do there; beyond an end it is undefined.
+    under : dict
+        The keys of others at whose zeros its own formula changes, with their places among all.
+    besides : callable ``(places)`` or None
+        Its value with the formula of the positive side of those at some places.
     """
 
     edge: Any
@@ -53,6 +57,15 @@ class Kink:
     affine: bool
     uses: tuple[int, ...]
     change: str
+    under: dict[Any, int] = attrs.Factory(dict)
+    besides: Callable[[tuple[int, ...]], Scalar] | None = None
+
+    def beside(self, edges: Iterable[Any]) -> Kink:
+        """The same with the formula of the positive side of others; itself if none changes it."""
+        places = tuple(sorted(self.under[edge] for edge in edges if edge in self.under))
+        if not places or self.besides is None:
+            return self
+        return attrs.evolve(self, edge=(self.edge, places), value=self.besides(places))
 
 
 @attrs.frozen(eq=False)

@@ -33,7 +33,7 @@ from .field import Contact, Field, Guard, Kink, Scalar
 from .lowered import lowered
 from .mode import RELEASE_SUFFIX, Kind, ModeGraph
 from .python import Program
-from .sides import deciders
+from .sides import above, deciders
 from .tape import Jets, Tape
 from .taylor import flat
 
@@ -227,9 +227,22 @@ class Scene:
         key, graph = (what, mode, bool(held)), self.code.mode(mode)
         make = lambda: deciders(graph.graph, len(graph.x), nodes(graph))  # noqa: E731
         found, numbers = self.code.once(("kinks", key), make), self.numbers(mode, held)
+
+        def besides(place: int, others: tuple[int, ...]) -> Scalar:
+            one = lambda: above(graph.graph, len(graph.x), found[place], others)  # noqa: E731
+            return self.bind(self.code.once(("kinks", key, place, others), one), numbers)
+
         return tuple(
-            Kink((*key, number), self.bind(program, numbers), *shape)
-            for number, (program, *shape) in enumerate(found)
+            Kink(
+                (*key, place),
+                self.bind(kink.program, numbers),
+                kink.affine,
+                kink.elements,
+                kink.change,
+                {(*key, other): other for other in kink.under},
+                partial(besides, place),
+            )
+            for place, kink in enumerate(found)
         )
 
     def moved_by(self, field: Field, contact: str) -> tuple[Kink, ...]:

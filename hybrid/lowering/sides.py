@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from random import Random
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -174,15 +174,42 @@ def _steps(graph: Graph, order: Sequence[int]) -> set[int]:
     return found
 
 
-def deciders(
-    graph: Graph, size: int, roots: Sequence[int]
-) -> list[tuple[Program, bool, tuple[int, ...], str]]:
-    """The result of :func:`deciding` as (program, affine, elements, change)."""
-    found = {_wave(graph, number): change for number, change in deciding(graph, roots).items()}
-    return [
-        (Program(graph, ["t", "x"], size, np.array(number)), *node_shape(graph, number), change)
-        for number, change in found.items()
-    ]
+class Decider(NamedTuple):
+    """A function at whose zeros nodes change their formula (see :class:`.field.Kink`).
+
+    ``node``: its node; ``under``: the nodes of others that choose its own formula, by their places
+    among all.
+    """
+
+    program: Program
+    affine: bool
+    elements: tuple[int, ...]
+    change: str
+    node: int
+    under: dict[int, list[int]]
+
+
+def deciders(graph: Graph, size: int, roots: Sequence[int]) -> list[Decider]:
+    """The result of :func:`deciding`, with programs."""
+    own = deciding(graph, roots)
+    found = {_wave(graph, number): change for number, change in own.items()}
+    places = {number: place for place, number in enumerate(found)}
+    made = []
+    for number, change in found.items():
+        under: dict[int, list[int]] = {}
+        for chooser in choosers(graph, [number]):
+            if chooser in own:
+                under.setdefault(places[_wave(graph, chooser)], []).append(chooser)
+        program = Program(graph, ["t", "x"], size, np.array(number))
+        made.append(Decider(program, *node_shape(graph, number), change, number, under))
+    return made
+
+
+def above(graph: Graph, size: int, decider: Decider, places: Iterable[int]) -> Program:
+    """A deciding function with the formula of the positive side of those at some places."""
+    signs = {number: 1 for place in places for number in decider.under[place]}
+    node, *_ = one_sided(graph, [decider.node], dict(sorted(signs.items())))
+    return Program(graph, ["t", "x"], size, np.array(node))
 
 
 def _never_negative(graph: Graph, number: int) -> bool:

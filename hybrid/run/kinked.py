@@ -9,12 +9,13 @@ The short remaining way is gone along a parabola, and the method starts anew bey
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import FlowError
-from ..events import SHARES, Cut, among, cuts
+from ..events import SHARES, Cut, among, blurs, cuts, moving
 from ..lowering import Field, Kink
 from ..lowering.lowered import ORDER
 from ..rules import unit
@@ -57,9 +58,8 @@ SPACINGS = 16
 #: deciding function that is zero there may be left when they are moved back; rounding leaves less.
 ASIDE, HELD_SHARE = 1e-4, 1e-3
 
-#: How far time and states are moved to measure the rounding of a deciding function, and how much of
-#: it the last coefficients of its polynomial may be.
-MOVED, NOISE = 8 * EPS, 1e4
+#: How much of the rounding of a deciding function the last coefficients of its polynomial may be.
+NOISE = 1e4
 
 
 def begin(
@@ -221,10 +221,11 @@ class KinkedStepper(Stepper):
             return None
         t, scale = self.t0 + self.offset, self.length / SHARES
         found, places = list[Cut](), list[Cut]()
-        for kink in self.changes:  # one that jumps does so where others change, which come before
+        # one that jumps does so where others change, which come before
+        for kink in moving(self.changes, own, t, self.signs):
             noise, others = self._noise(kink, own), [] if kink.affine else places
-            new = list(cuts(kink, own, t, scale, self.signs, noise, others))
-            found, places = [*found, *new[:1]], among(places, new)
+            new = [*islice(cuts(kink, own, t, scale, self.signs, noise, others), 1)]
+            found, places = [*found, *new], among(places, new)
         return min(found, key=lambda cut: cut.before, default=None)
 
     def _keeps_formula(self, own: Segment) -> bool:
@@ -234,7 +235,7 @@ class KinkedStepper(Stepper):
         if self.along is None or not self.along.keeps_formula(since, *self.inner.powers()):
             return False
         before, after = self.signs, self._values(since + own.end, own(own.end))
-        if not all(before[kink.edge] * after[kink.edge] > 0.0 for kink in self.changes):
+        if not all(before.get(edge, value) * value > 0.0 for edge, value in after.items()):
             return False
         self.signs = after
         return True
@@ -258,8 +259,9 @@ class KinkedStepper(Stepper):
         flow there by either formula."""
         t, x = self.t0 + self.tau, self.x
         for kink in (kink for kink in self.changes if kink.change == "jumps"):
-            was = before[kink.edge]
-            if abs(kink.value(t, x.tolist())) <= HAS_COME * abs(was):
+            was = before.get(kink.edge, 0.0)
+            here = abs(kink.value(t, x.tolist())) <= HAS_COME * abs(was)
+            if here and abs(was) > blurs(kink, t, x.tolist()):
                 speck = self._speck(kink)
                 later = x + speck * self.field.flow(t, x)
                 short = speck <= SHORT_OF * own.length
@@ -271,9 +273,7 @@ class KinkedStepper(Stepper):
         """The rounding of a deciding function."""
         if kink.affine:
             return 0.0
-        t, x = self.t0 + self.offset + own.end, self.x
-        moved = kink.value(t * (1.0 + MOVED), (x * (1.0 + MOVED)).tolist())
-        return NOISE * abs(moved - kink.value(t, x.tolist()))
+        return NOISE * blurs(kink, self.t0 + self.offset + own.end, self.x.tolist())
 
     def _speck(self, kink: Kink) -> float:
         """A time too short to see anything in, by the rounding of the time or of the deciding
