@@ -36,7 +36,7 @@ COSTLY = {"Dopri8": 0, "diffrax": 0, "Radau": 1}
 LEFT_OUT = {"pages", "every_way", "long"}
 
 #: Of so many points of a scan one stays, and one at least of each.
-DEAL = 6
+DEAL = 8
 
 #: Bytes of memory from which on a worker gives back what it no longer needs: two workers of the
 #: suite then fit where there are 8 GB.

@@ -57,6 +57,7 @@ def test_basins_are_a_sweep(wells, tmp_path):
     assert not told
 
 
+@pytest.mark.long
 def test_orbits_side_by_side():
     """At ``G = 1.14`` a ball that keeps 0.7 of its speed may strike once in one period, or once in
     two: at speeds of ``pi`` and ``2 pi``, as :func:`hybrid.periodic_orbit` finds them."""

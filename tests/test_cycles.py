@@ -84,6 +84,7 @@ class Tiring(PowerLaw):
     )
 
 
+@pytest.mark.long
 def test_the_search_for_the_error_of_a_slow_sum_ends():
     """The run to compare with, of tighter tolerances, does not come to the sum in a thousand
     impacts more; then there is no bound. The sum is zeta(1.1)."""

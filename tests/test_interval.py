@@ -325,6 +325,7 @@ def test_extrema_hold_and_are_attained(expression):
         assert extreme.low <= function.at(point) <= extreme.high
 
 
+@pytest.mark.long
 def test_an_effort_that_ends_early_still_bounds():
     """A tolerance that cannot be met: wide, but true."""
     from hybrid.bounds.extrema import supremum

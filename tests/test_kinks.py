@@ -88,6 +88,7 @@ def test_kinked_runs_are_those_of_the_rules_one_by_one(seed, jumps, monkeypatch)
     same(run, hy.simulate(*scene, solver="scipy", rtol=1e-10))
 
 
+@pytest.mark.long
 def test_kinked_arcs_are_flown_in_the_loop(monkeypatch):
     """Where no guard jumps the driver flies but those in which one comes next to zero as it bends,
     or turns back there: of forty such models a quarter of the arcs."""

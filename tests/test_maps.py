@@ -229,6 +229,7 @@ def test_a_signal_is_part_of_a_map(tmp_path):
         hy.sweep(other, **asked)
 
 
+@pytest.mark.long
 def test_other_processes_give_the_same(monkeypatch):
     """Blocks of lanes that go one by one, shared with another process."""
     asked = {**ASKED, "section": "impact", "keep": 2, "measure": ["stick", "energy"], "block": 10}

@@ -219,6 +219,7 @@ def test_a_file_that_has_changed_is_not_believed(crew, tmp_path, monkeypatch):
     np.testing.assert_allclose(lanes.x, X * np.exp(-1.0), rtol=1e-6)  # the tolerance is 1e-8 a step
 
 
+@pytest.mark.long
 def test_another_answer_is_not_believed(crew):
     """A function that depends on its process: all calls are made here."""
     shared = processes.Shared(square, range(50), lambda: (squares,), lambda a, b: a == b)

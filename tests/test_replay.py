@@ -243,6 +243,7 @@ def test_with_many_parameters_accumulations_have_first_derivatives(monkeypatch):
 # where there are none
 
 
+@pytest.mark.long
 def test_through_an_accumulation_there_are_none():
     """A sentence says so, and they are NaN; the first ones are there, and the second ones of
     another lane, and of what is before."""

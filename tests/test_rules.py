@@ -155,6 +155,7 @@ def test_units_that_are_needed_together_are_compiled_together(toy):
     assert done(started(toy, ASK_TOP)) == ("1.5", "")
 
 
+@pytest.mark.long
 def test_a_unit_alone_is_compiled_beside_the_process_too(toy):
     """With the settings of the others, whatever those of a process that asks for it."""
     (toy / "toy" / "top.py").write_text(TOP)

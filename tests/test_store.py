@@ -154,6 +154,7 @@ while True:
 """
 
 
+@pytest.mark.long
 def test_a_save_that_is_killed_leaves_the_older_file(tmp_path):
     """A process that saves again and again is killed: what is there is whole."""
     path = tmp_path / "run.nc"
