@@ -5,6 +5,7 @@ import re
 from functools import cache
 
 import jax.numpy as jnp
+import mpmath as mp
 import numpy as np
 import pytest
 from scipy.special import zeta
@@ -224,6 +225,73 @@ def test_gaps_that_fall_like_the_square_accumulate(solver, reference):
     assert run.mode == "flight.rest(impact)"
     assert "gaps that fall like a power" in run.explain()
     assert "found by sequence acceleration" in run.explain()
+
+
+class Losing(PowerLaw):
+    """A ball that loses ``a |v|^p`` of its speed."""
+
+    a: float = hy.parameter(0.5)
+    p: float = hy.parameter(0.2)
+
+    impact = hy.contact(
+        "flight",
+        gap=lambda self, t, s: s.x,
+        restitution=lambda self, t, s, u: 1.0 - self.a * jnp.abs(u) ** self.p,
+    )
+
+
+def losing(a, p, v, impacts):
+    """The durations of the flights of such a ball from the floor, and how long the flights behind
+    them take, from a series in ``v^p``: what is left behind ``v`` is ``v^(1 - p)`` times such a
+    series, and what is left behind the next speed is less by that flight."""
+    with mp.workdps(30):
+        a, p, speeds = mp.mpf(a), mp.mpf(p), [mp.mpf(v)]
+        while len(speeds) <= impacts or a * speeds[-1] ** p > 0.02:
+            speeds.append(speeds[-1] * (1 - a * speeds[-1] ** p))
+
+        def loss(k, power):
+            return -mp.binomial(1 + (k - 1) * p, power) * (-a) ** power
+
+        terms = []
+        for k in range(14):
+            known = sum(own * loss(j, k - j + 1) for j, own in enumerate(terms))
+            terms.append(((k == 0) - known) / loss(k, 1))
+        end = speeds.pop()
+        left = sum(own * end ** (1 + (k - 1) * p) for k, own in enumerate(terms))
+        left += mp.fsum(speeds[impacts:])
+        return np.array(speeds[:impacts], dtype=float), float(left)
+
+
+@pytest.mark.parametrize("p", [0.06, 0.1, 0.2, 1 / 3, 0.5, 0.7, 0.9])
+def test_speeds_that_lose_a_power_of_themselves_are_summed_within_the_bound(p):
+    """Their number has a logarithm in what is left to the limit. By it estimates were off by up to
+    ten times their bounds."""
+    for a, v in np.random.default_rng(6).uniform([0.2, 0.3], [0.9, 1.0], (8, 2)).tolist():
+        for turns in (20, 40, 80, 160):
+            spans, left = losing(a, p, v, turns)
+            times, states = np.append(0.0, np.cumsum(spans)), np.append(spans, 0.0)[:, None]
+            found = limit(("a",), times, states, 1e-6, 0.0)
+            if found is not None:
+                rounding = turns * np.spacing(times[-1])  # of the sums
+                assert abs(found.remaining - left) <= found.t_error + rounding
+                assert found.t_error <= 1e-6 * 2.0 * (times[-1] + left)
+
+
+@pytest.mark.parametrize(
+    ("solver", "p", "rtol"), spread(NAMES, [0.1, 0.2, 0.5, 0.7], [1e-8, 1e-10, 1e-12])
+)
+def test_a_ball_that_loses_a_power_of_its_speed_rests_within_the_bound(solver, p, rtol):
+    """``t_error`` was up to 1.8 times too small, or there was no limit in 8000 impacts. The bound
+    is of the size of the tolerance: rounding of one turn is repeated by those that count."""
+    for a, v in np.random.default_rng(7).uniform([0.5, 0.5], [0.9, 1.0], (3, 2)).tolist():
+        (first,), left = losing(a, p, v, 1)
+        exact = first + left
+        model, start = Losing(a=a, p=p), {"x": 0.0, "v": v}
+        run = hy.simulate(model, start, (0.0, 2.0 * exact), rtol=rtol, solver=solver)
+        (point,) = run.zeno
+        assert abs(point.t - exact) <= point.t_error
+        assert point.t_error == math.inf or point.t_error <= 2.0 * max(rtol, 2e-10) * exact
+        assert len(run.jumps) <= 100
 
 
 class Undefined(hy.Automaton):
@@ -624,7 +692,7 @@ def test_no_estimate_is_taken_for_better_than_it_is(kind):
         }[kind]
         limit_of = draw.uniform(0, 10) + away[0]
         seen = (limit_of - away) * (1.0 + 1e-16 * draw.integers(-2, 3, len(k)))
-        value, error, scale = accelerated(seen[:, None], power=False)
+        value, error, scale = accelerated(seen[:, None], None)
         if error[0] <= 1e-12 * scale[0]:
             taken += 1
             assert abs(value[0] - limit_of) <= max(error[0], 1e-11 * scale[0])

@@ -29,7 +29,7 @@ from ..rules.lanes import (
 )
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
-from ..zeno.cycle import CycleLimit, accelerated, limit, period
+from ..zeno.cycle import Clock, CycleLimit, accelerated, limit, period
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Integers, Numbers, StateVector
@@ -106,6 +106,10 @@ class Columns(NamedTuple):
         """The times of some since the first of them."""
         t, low = self.t[places], self.low[places]
         return (t - t[0]) + (low - low[0])  # type: ignore[no-any-return]
+
+    def spans(self, places: Integers) -> Numbers:
+        """The durations from each of some to the next."""
+        return np.diff(self.t[places]) + np.diff(self.low[places])
 
 
 NO_JUMPS = Columns.of("", "", 0.0, 0.0, 0.0, [0.0]).part(slice(0))
@@ -394,7 +398,8 @@ class Cycles:
             closings = self._shrinking(length)
             times, states = self.seen.since(closings), self.seen.x[closings]
             blur = partial(blurs, scene, self.seen, closings, length)
-            found = limit(self._cycle(shortest), times, states, rtol, atol, self.beside, blur)
+            ends = rtol, atol, self.beside, blur, self.seen.spans(closings)
+            found = limit(self._cycle(shortest), times, states, *ends)
             turn = None if found is None else self._turn(length, found)
             if found is not None and turn is not None:
                 return attrs.evolve(found, ratio=found.ratio ** (shortest / length)), turn
@@ -467,7 +472,9 @@ class Cycles:
             if len(closings) <= FEW_TURNS:
                 return None
             seen = self.seen.x[closings]
-            x_inf, error, _ = accelerated(seen, found.ratio == 1.0, self.beside)
+            times, spans = self.seen.since(closings), self.seen.spans(closings)
+            clock = Clock.of(times, spans) if found.ratio == 1.0 else None
+            x_inf, error, _ = accelerated(seen, clock, self.beside)
             limits.append(x_inf)
             errors.append(error)
         first = self.last(length + 1, length * (found.turns - 2))

@@ -30,7 +30,7 @@ turn to the next bounds an error that keeps decreasing.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import attrs
 import numpy as np
@@ -81,6 +81,33 @@ CYCLE_ROUNDING = 4e-16
 
 #: Signs that follow no pattern: those of the fractions of its multiples, less a half.
 GOLDEN = 0.618033988749895
+
+
+class Clock(NamedTuple):
+    """What the turns of a cycle count if their durations ``a_k`` fall like a power: Raabe's
+    ``1 / (a_{k-1} / a_k - 1)``, at each turn but the first, and what it is off.
+
+    A turn that makes ``w (1 - a w^p + ...)`` of ``w`` has a power of ``w`` as its duration, times a
+    series in ``w^p``. So are the clock, whose first term is one of ``w^-p``, and all that is left
+    to the limit: a series in the clock. Their number also has the logarithm of ``w`` in it, which
+    no series in the number follows.
+    """
+
+    read: Numbers
+    off: Numbers
+
+    @classmethod
+    def of(cls, times: Numbers, spans: Numbers | None, blur: Numbers | float = 0.0) -> Clock:
+        """That of turns which close at some times, known but for ``blur`` and rounding; ``spans``:
+        their durations, if they are known better than by the times."""
+        ends = np.broadcast_to(blur, times.shape)
+        if spans is None:
+            spans, ends = np.diff(times), ends + np.spacing(times[-1] - times[0])
+        with np.errstate(divide="ignore"):
+            read = 1.0 / (np.append(np.nan, spans[:-1] / spans[1:]) - 1.0)
+        off = CYCLE_ROUNDING + (ends[1:] + ends[:-1]) / spans
+        off[1:] += off[:-1]
+        return cls(read, off * np.abs(read * (1.0 + read)))
 
 
 @attrs.frozen(eq=False)
@@ -140,6 +167,7 @@ def limit(
     atol: float,
     beside: Sequence[int] = (),
     blur: Callable[[], Numbers] = lambda: np.zeros(1),
+    spans: Numbers | None = None,
 ) -> CycleLimit | None:
     """The limit of a cycle; None if it does not accumulate, or not yet clearly enough.
 
@@ -155,6 +183,8 @@ def limit(
         Indices of discrete state elements: see :func:`accelerated`.
     blur : callable
         Gives how far each of the times may be off, beside its own rounding.
+    spans : array, shape (cycles,), optional
+        The durations of the turns, if they are known better than by the times.
     """
     durations = np.diff(times)
     if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
@@ -163,7 +193,8 @@ def limit(
     found: CycleLimit | int | None = 0
     while isinstance(found, int):
         times, states = times[found:], states[found:]
-        found = _limit(edges, times, states, elapsed, rtol, atol, beside, blur)
+        spans = None if spans is None else spans[found:]
+        found = _limit(edges, times, states, elapsed, rtol, atol, beside, blur, spans)
     return found
 
 
@@ -176,6 +207,7 @@ def _limit(
     atol: float,
     beside: Sequence[int],
     blur: Callable[[], Numbers],
+    spans: Numbers | None,
 ) -> CycleLimit | int | None:
     """As :func:`limit`, by one law; where another has begun at some turn, the place of that turn.
     ``elapsed``: the time since the first of all turns."""
@@ -191,9 +223,12 @@ def _limit(
     power = growth > RAABE_GROWTH
     if not growth < 1.0 / RAABE or (power and most > STEADY_GROWTH * growth):
         return None
+    clock = Clock.of(times, spans) if power else None
+    if power and spans is not None:  # times before the last jump, as exact as durations are
+        times = -np.append(np.cumsum(spans[::-1])[::-1], 0.0)
     columns, others = np.column_stack([times, states]), [1 + i for i in beside]
     for closely in False, True:
-        now, error, scale = accelerated(columns, power, others, closely)
+        now, error, scale = accelerated(columns, clock, others, closely)
         slack = max(rtol, 1e-13) * np.maximum(scale, scale[0]) + atol
         if not np.all(np.delete(error <= slack, others)):
             return None
@@ -202,7 +237,11 @@ def _limit(
     if not (remaining > 0 and near and np.all(np.isfinite(now))):
         return None
     off, steps = np.abs(columns - now), np.abs(np.diff(columns, axis=0))
-    noise = _moving(columns, blur())
+    blurred = blur()
+    if power:
+        clock = Clock.of(times, spans, blurred[-len(times) :])
+        error = np.maximum(error, accelerated(columns, clock, others)[1])
+    noise = _moving(columns, blurred)
     known = CYCLE_ROUNDING * len(columns) * scale + PACE_NOISE * noise
     for k in np.setdiff1d(np.arange(len(now)), others):
         strays = max(_strays(off[:, k], error[k] + known[:, k]), _strays(steps[:, k], known[1:, k]))
@@ -225,17 +264,18 @@ def _moving(columns: Matrix, blur: Numbers) -> Matrix:
 
 
 def accelerated(
-    columns: Matrix, power: bool, beside: Sequence[int] = (), closely: bool = True
+    columns: Matrix, clock: Clock | None, beside: Sequence[int] = (), closely: bool = True
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Limits of sequences (one per column), bounds on their errors, and their sizes.
 
-    Columns in ``beside`` hold discrete variables on which nothing else depends. They keep their
-    last value, with infinite error if they still change. ``closely``: whether what estimates agree
-    on is tried on other sequences, too.
+    ``clock``: that of the turns, if their durations fall like a power. Columns in ``beside`` hold
+    discrete variables on which nothing else depends. They keep their last value, with infinite
+    error if they still change. ``closely``: whether what estimates agree on is tried on other
+    sequences, too.
     """
     estimate = _accelerated if closely else _estimate
     with np.errstate(all="ignore"):  # equal terms: a non-finite estimate is never the best
-        now, error = np.array([estimate(column, power) for column in columns.T]).T
+        now, error = np.array([estimate(column, clock) for column in columns.T]).T
     scale, rounding = np.abs(now) + np.ptp(columns, axis=0), CYCLE_ROUNDING * len(columns)
     error += rounding * scale
     for k in beside:
@@ -275,43 +315,51 @@ def _raabe(durations: Numbers) -> tuple[float, float]:
     return float(grown.mean()), float(grown.max())
 
 
-def _accelerated(sequence: Numbers, power: bool) -> tuple[float, float]:
+def _accelerated(sequence: Numbers, clock: Clock | None) -> tuple[float, float]:
     """The limit of a sequence, and a bound on its error.
 
     Estimates may agree by chance. The bound is also that of what becomes of them without the last
-    term, and if the terms move by their rounding, which estimates amplify.
+    term, and if the terms move by their rounding, which estimates amplify; by a clock they tell
+    what that makes of them.
     """
     if len(sequence) <= LEAST_CYCLES + 1:
-        return _estimate(sequence, power)
+        return _estimate(sequence, clock)
     signs = np.where(np.arange(len(sequence)) * GOLDEN % 1.0 < 0.5, 0.5, -0.5)
-    moved = sequence + signs * np.spacing(np.abs(sequence).max())
-    now, error = _estimate(sequence, power, moved)
-    shorter, _ = _estimate(sequence[:-1], power, moved[:-1])
+    step = np.spacing(np.abs(sequence).max()) if clock is None else 0.0
+    moved = sequence + signs * step
+    now, error = _estimate(sequence, clock, moved)
+    shorter, _ = _estimate(sequence[:-1], clock, moved[:-1])
     return now, max(error, abs(now - shorter))
 
 
-def _estimate(sequence: Numbers, power: bool, moved: Numbers | None = None) -> tuple[float, float]:
+def _estimate(
+    sequence: Numbers, clock: Clock | None, moved: Numbers | None = None
+) -> tuple[float, float]:
     """The limit of a sequence, and how well the last estimates of it agree, also with those of the
     sequence ``moved`` by its rounding, if any."""
     if len(sequence) <= LEAST_CYCLES:
         before, now = _aitken(sequence[:-1]), _aitken(sequence)
         return now, ESTIMATE_CAUTION * abs(now - before)
     best = (float(sequence[-1]), float("inf"))
-    tables = _tables(sequence, power)
-    beside = tables if moved is None else _tables(moved, power)
-    for estimates, others in zip(tables, beside, strict=True):
-        steps = np.abs(np.diff(estimates))
-        for value, other, *two in zip(estimates[2:], others[2:], steps, steps[1:], strict=False):
-            error = ESTIMATE_CAUTION * float(max(*two, abs(value - other)))
+    tables = _tables(sequence, clock)
+    beside = tables if moved is None else _tables(moved, clock)
+    for table, others in zip(tables, beside, strict=True):
+        values, noises = np.array(table).reshape(-1, 2).T
+        steps = np.abs(np.diff(values))
+        rows = zip(values[2:], noises[2:], others[2:], steps, steps[1:], strict=False)
+        for value, noise, (other, _), *two in rows:
+            error = ESTIMATE_CAUTION * float(max(*two, abs(value - other))) + float(noise)
             if error < best[1]:
-                best = (value, error)
+                best = (float(value), error)
     return best
 
 
-def _tables(sequence: Numbers, power: bool) -> list[list[float]]:
-    """Estimates from more and more of a sequence, by each transformation that may be exact."""
-    levin = _levin(sequence)
-    return [levin] if power else [_epsilon(sequence[-POWER_CYCLES:]), levin]
+def _tables(sequence: Numbers, clock: Clock | None) -> list[list[tuple[float, float]]]:
+    """Estimates from more and more of a sequence, by each transformation that may be exact, and
+    what they are off as the clock is."""
+    if clock is not None:
+        return [_levin(sequence, clock)]
+    return [[(value, 0.0) for value in _epsilon(sequence[-POWER_CYCLES:])], _levin(sequence)]
 
 
 def _aitken(sequence: np.ndarray) -> float:
@@ -343,28 +391,37 @@ def _rests(steps: Numbers, sequence: Numbers) -> bool:
     return bool(np.max(np.abs(steps)) <= noise)
 
 
-def _levin(sequence: Numbers) -> list[float]:
-    """Limits of a sequence by Levin's transformation with increasing numbers of terms.
+def _levin(sequence: Numbers, clock: Clock | None = None) -> list[tuple[float, float]]:
+    """Limits of a sequence by Levin's transformation with increasing numbers of terms, and what
+    they are off as the clock and the terms are.
 
-    The remainder is modelled as ``k a_k`` times a polynomial in ``1/k``. The terms used have
-    geometrically spaced indices; successive ones, as in Levin's u-transform, have the same limit
-    but amplify rounding.
+    The remainder is modelled as ``z a`` times a polynomial in ``1/z``, with ``z`` the clock; the
+    number of the term where there is none. The terms used have geometrically spaced indices;
+    successive ones, as in Levin's u-transform, have the same limit but amplify rounding.
     """
-    count = np.arange(1, len(sequence))
     terms = np.diff(sequence)
+    count = np.arange(1, len(sequence))
     if _rests(terms[-2:], sequence):
-        return [float(sequence[-1])] * 3
+        return [(float(sequence[-1]), 0.0)] * 3
     if np.any(terms == 0.0):  # it has not fallen all along
         return []
+    z, off = (count, 0.0 * count) if clock is None else clock
+    rounding = 0.0 if clock is None else CYCLE_ROUNDING
     estimates = []
     for k in range(1, TERMS + 1):
         place = np.unique(np.round(count[-1] * THIN ** np.arange(k + 1)).astype(int))
-        if len(place) <= k:
+        if len(place) <= k or (clock is not None and place[0] == 1):
             break
-        powers = (place[-1] / place)[:, None] ** np.arange(k)
-        rows = np.column_stack([np.ones(k + 1), (place * terms[place - 1])[:, None] * powers])
+        own, now, order = z[place - 1], terms[place - 1], np.arange(k)
+        parts = now[:, None] * (own[-1] / own)[:, None] ** order
+        rows = np.column_stack([np.ones(k + 1), own[:, None] * parts])
         try:
-            estimates.append(float(np.linalg.solve(rows, sequence[place])[0]))
+            found = np.linalg.solve(rows, sequence[place])
+            shares = np.abs(np.linalg.solve(rows.T, np.eye(k + 1)[0]))
         except np.linalg.LinAlgError:  # the terms do not fall: no limit can be found
             return []
+        left = np.abs(sequence[place] - found[0])
+        known = rounding * np.abs(sequence[place]) * (1.0 + 2.0 * left / np.abs(now))
+        known += off[place - 1] * np.abs(parts @ ((1 - order) * found[1:]))
+        estimates.append((float(found[0]), float(np.linalg.norm(shares * known))))
     return estimates
