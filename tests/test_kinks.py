@@ -363,6 +363,58 @@ def test_what_fades_or_turns_back_does_not_run_empty(way):
     assert not run.jumps
 
 
+class Along(hy.Automaton):
+    """``z`` follows the sign of what is zero all along the motion, but for errors."""
+
+    x = hy.state()
+    z = hy.state()
+    p = hy.state()
+    q = hy.state()
+    rate: float = hy.parameter(0.7)
+
+    @hy.mode
+    def flow(self, t, s):
+        return self.rate * jnp.cos(t), jnp.sign(s.x - self.rate * jnp.sin(t)), s.q, -s.p
+
+
+class AlongWithTime(Along):
+    @hy.mode
+    def flow(self, t, s):
+        return self.rate, jnp.where(s.x > self.rate * t, 1.0, 0.0), s.q, -s.p
+
+
+@pytest.mark.parametrize("model", [Along, AlongWithTime])
+@pytest.mark.parametrize("way", ["taylor", "DOP853", "Dopri8"])
+def test_rounding_does_not_choose_the_formula(way, model):
+    """z went to 44 or to -6, as rounding had it, where it has to stay 0."""
+    start = {"x": 0.0, "z": 0.0, "p": 0.0, "q": 1.0}
+    with pytest.raises(hy.FlowError, match=r"stays there but for rounding.*hy\.switching"):
+        hy.simulate(model(), start, (0.0, 50.0), **SOLVERS[way])
+
+
+class Fading(hy.Automaton):
+    """A damped swing that turns ever lower, and what follows the signs of it and of what fades."""
+
+    x = hy.state()
+    v = hy.state()
+    low = hy.state()
+    z = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        drag = jnp.where(s.v > 0.0, 0.1, 0.3)
+        return s.v, -s.x - drag * s.v, -s.low, jnp.sign(s.low)
+
+
+@pytest.mark.parametrize("way", ["taylor", "DOP853", "Dopri8"])
+def test_a_sign_is_known_however_small_what_has_it(way):
+    """Far below ``atol`` it is that of the state itself: nothing cancels there."""
+    start = {"x": 1.0, "v": 0.0, "low": 1.0, "z": 0.0}
+    run = hy.simulate(Fading(), start, (0.0, 60.0), **SOLVERS[way])
+    assert run.final.z == pytest.approx(60.0, rel=1e-9)
+    assert 0.0 < run.final.low < 1e-24
+
+
 @pytest.mark.parametrize("outflow", ["held at zero", "by cases"])
 def test_an_empty_tank_stays_empty(outflow):
     """Without an edge the run goes on at rest; what flows in beside it does not end."""
