@@ -61,6 +61,7 @@ from .places import (
     REST,
     RISES,
     SERIES,
+    SHAKEN,
     SPEED_FALL,
     STRIKES,
     SUM,
@@ -77,8 +78,13 @@ from .places import (
 )
 from .switches import CROSSES, SLIDES, follows
 from .ties import pending, remembered
+from .zeros import EPS
 
 __all__ = ("advance",)
+
+#: Roundings by which a state is moved behind an impact: of its own, and of the gap. Parts of the
+#: golden ratio are on either side as often.
+SHAKE, GOLDEN = 0.5, 0.618033988749895
 
 
 def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, short: Room, left: Left) -> int:
@@ -247,6 +253,8 @@ def impact(
     guard, own = now.ints[FIRED], a.guards[now.ints[FIRED], OWN]
     if now.ints[WAS_LOW] == 0 and not struck(a, now, room, t, before, behind):
         return JUMP, HARD
+    if run[SHAKEN] == 1.0 and now.ints[WAS_LOW] == 0 and 0 <= now.ints[SERIES] != own:
+        shake(now.impacts[own], behind)
     speed = now.floats[GAP_SPEED]
     if not speed >= 0.0:
         return JUMP, HARD
@@ -272,6 +280,17 @@ def impact(
         return asks(now, guard, AT), HARD
     now.ints[LOW_AHEAD] = 1
     return LANDED, field
+
+
+def shake(count: int, x: Floats) -> None:
+    """Move a state by rounding, each element to either side as the number of an impact has it.
+
+    Between blows of two contacts that come ever faster it grows: the gap of neither is known to
+    more, and all runs round it alike. Those of one contact alone are bounded by themselves.
+    """
+    for i in range(x.shape[0]):
+        side = 1.0 if (GOLDEN * (count + 1) * (i + 1)) % 1.0 < 0.5 else -1.0
+        x[i] += side * SHAKE * EPS * x[i]
 
 
 def struck(

@@ -83,8 +83,9 @@ METHOD_ORDER = 10  # the order of the outside solver; 0 with Taylor steps
 JUMPS_DUE = 11  # the number of jumps after which new windows of the past are needed
 UNTIL = 12  # the latest end of the current arc
 RUN_END = 13  # the end of the run
-STEP_LOSS = 14  # the error that a Taylor step may make, relative to the state
-TOLERANCES = 15  # from here on, the absolute tolerance of each state
+SHAKEN = 14  # 1 if states are moved by rounding behind impacts that alternate
+STEP_LOSS = 15  # the error that a Taylor step may make, relative to the state
+TOLERANCES = 16  # from here on, the absolute tolerance of each state
 
 #: Numbers of the current state.
 T = 0  # the time at which the arc began

@@ -146,7 +146,7 @@ class Machine:
         ends = GOES_ON_AT_REST if plan.zeno == "rest" else ENDS_THERE
         summed = (plan.memory == "keep" or not scene.spec.lags) and not moving
         sums = ends if summed else DRIVERS, plan.closing
-        last = (0.0, last[0], np.inf, plan.t1, plan.t1, *last[1:])
+        last = (0.0, last[0], np.inf, plan.t1, plan.t1, float(plan.shaken), *last[1:])
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
         self.n = n
