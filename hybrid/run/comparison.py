@@ -141,10 +141,11 @@ class _Again:
     series, accurate to rounding; for a model without series, its own method at a hundredth of the
     tolerance. A run that was itself made to rounding is compared with DOP853 at its smallest
     tolerance, unless forces act so briefly that rounding matters to them. The third run repeats the
-    second from a start moved by the rounding of such forces: its distance from the second shows how
-    much rounding grows. (A single run from the moved start would be moved towards the errors of the
-    first run as often as away from them.) If no step of the second run had to be cut, the steps of
-    the third are not checked.
+    second from a start moved by the rounding of such forces, and moves states by their last digit
+    behind impacts of two contacts that alternate (:mod:`hybrid.rules.advance`): its distance from
+    the second shows how much rounding grows. (A single run from the moved start would be moved
+    towards the errors of the first run as often as away from them.) If no step of the second run
+    had to be cut, the steps of the third are not checked.
     """
 
     def __init__(

@@ -42,7 +42,8 @@ class Plan:
         Verify the defect of every step, for at most this many steps
         (:mod:`hybrid.solvers.watchful`).
     shaken : bool
-        In a watchful run: perturb the states by the effect of rounding on brief forces.
+        In a watchful run: perturb the states by the effect of rounding, on brief forces and on the
+        gaps at impacts that alternate.
     trusted : bool
         In a watchful run: accept steps unverified, as those of a similar run have been verified.
     max_step, first_step : float
