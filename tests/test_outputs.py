@@ -121,6 +121,16 @@ def test_states_asked_for_have_outputs():
     np.testing.assert_array_equal(run(times).energy, run.to_xarray().energy)
 
 
+def test_one_element_of_an_output_is_drawn():
+    """By its name, as one of a state is; one that is not there is refused with what there is."""
+    pytest.importorskip("matplotlib")
+    axes = flown().plot(["ahead[1]"]).axes
+    assert any("ahead[1]" in axis.get_ylabel() for axis in axes)
+    assert not any("ahead[0]" in axis.get_ylabel() for axis in axes)
+    with pytest.raises(hy.OptionError, match=r"no state or output 'ahead\[2\]'"):
+        flown().plot(["ahead[2]"])
+
+
 def test_pictures_have_outputs(tmp_path):
     """``run.plot`` draws states and outputs by name; a path alone is a path."""
     run = flown()

@@ -270,13 +270,17 @@ class _Column(NamedTuple):
 
 
 def _columns(run: Solution, name: str, drawn: _Drawn) -> list[_Column]:
-    """The columns of a state or an output, one per element."""
+    """The columns of a state or an output, one per element, or that of one element."""
     elements = run.spec.element_names
     if name in elements:
         return [_element(run, elements.index(name), drawn)]
+    whole, outputs = name.partition("[")[0], {output.name for output in run.spec.outputs}
+    own = _columns(run, whole, drawn) if whole in outputs - {name} else []
+    if found := [column for column in own if column.name == name]:
+        return found
     if not require_outputs(run.spec, [name]):
-        own = [k for k, each in enumerate(elements) if each.startswith(f"{name}[")]
-        return [_element(run, k, drawn) for k in own]
+        places = [k for k, each in enumerate(elements) if each.startswith(f"{name}[")]
+        return [_element(run, k, drawn) for k in places]
     unit = run.spec.output(name).unit
     parts = (*drawn.flights, *drawn.rests, *drawn.dots)
     t, x = (np.concatenate(column) for column in zip(*parts, strict=True))
