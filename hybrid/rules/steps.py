@@ -52,7 +52,7 @@ __all__ = ("step",)
 BISECTIONS = 20
 
 #: Status codes besides those of :mod:`.kinks`: no step can be made; rounding chooses the formula.
-NO_STEP, UNDECIDED = -3, -4
+NO_STEP, BY_ROUNDING = -3, -4
 
 #: A function that is within so many roundings of zero over such a share of the time stays there:
 #: what goes through zero is farther from it by then.
@@ -127,7 +127,7 @@ def step(
         if stays(p, program, kink, t, tau, h, sides, c):
             seen = False
             if jumps(p, program, kink, t, h, sides, c, aside, work):
-                return UNDECIDED, 0.0, -1
+                return BY_ROUNDING, 0.0, -1
     if status < 0:
         h, crossed = weak_step(p, program, held, t, tau, x, most, sides, c, aside, work), -1
         if h == 0.0:

@@ -60,10 +60,10 @@ ASIDE, HELD_SHARE = 1e-4, 1e-3
 
 #: Steps in a row along which a deciding function is zero within the tolerances, more than where it
 #: goes through or turns; and how many tolerances the formula may then make of a state.
-UNDECIDED_STEPS, UNDECIDED = 16, 100.0
+UNDECIDED_STEPS, LED_ASIDE = 16, 100.0
 
 #: The last of the places along a step at which it is looked at for that.
-LOOKS = 4
+LAST_LOOK = 4
 
 #: How much of the rounding of a deciding function the last coefficients of its polynomial may be.
 NOISE = 1e4
@@ -267,14 +267,14 @@ class KinkedStepper(Stepper):
             steps, led = steps + 1, led + own.length * self._jump(kink)
             self.open[kink.edge] = steps, led
             long = steps >= UNDECIDED_STEPS or rests(kink, own, self.t0)
-            if long and np.any(led > UNDECIDED * allowed):
+            if long and np.any(led > LED_ASIDE * allowed):
                 raise FlowError(f"up to t = {self.t0 + self.tau!r}, {NOT_DECIDED}")
 
     def _is_open(self, kink: Kink, own: Segment) -> bool:
         """Whether a deciding function is zero along a step, but for what the tolerances make of it,
         and is not exactly zero."""
         most = 0.0
-        for tau in (own.start + own.length * nodes(LOOKS)).tolist():
+        for tau in (own.start + own.length * nodes(LAST_LOOK)).tolist():
             t, x = self.t0 + tau, own(tau)
             here = kink.value(t, x.tolist())
             most = max(most, abs(here))

@@ -16,7 +16,7 @@ from ..lowering import Field
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.kinks import NO_SERIES, NOT_FINITE
-from ..rules.steps import NO_STEP, UNDECIDED
+from ..rules.steps import BY_ROUNDING, NO_STEP
 from ..segment import Segment, from_powers, terms
 from . import base
 from .base import LEADS_BACK, NOT_DECIDED, Solver, Stepper
@@ -29,7 +29,7 @@ REFUSED = {
     NO_SERIES: "the flow is not finite, or has no Taylor series",
     NOT_FINITE: base.NO_FLOW_HERE,
     NO_STEP: f"the Taylor series does not converge: the step became zero; {LEADS_BACK}",
-    UNDECIDED: NOT_DECIDED,
+    BY_ROUNDING: NOT_DECIDED,
 }
 
 
