@@ -772,8 +772,7 @@ class ArcFlow:
         near, far = 0.0, 0.0
         while self._before(cut, tau + far, x + far * flow) and far < most:
             near, far = far, 2.0 * far or spacing
-        while far - near > spacing:
-            middle = 0.5 * (near + far)
+        while far - near > spacing and near < (middle := 0.5 * (near + far)) < far:
             if self._before(cut, tau + middle, x + middle * flow):
                 near = middle
             else:
