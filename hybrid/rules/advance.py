@@ -72,6 +72,8 @@ from .places import (
     TRIED,
     UNKNOWN,
     URGENT,
+    USES,
+    USES_END,
     VALUE,
     WAS_LOW,
     T,
@@ -253,7 +255,7 @@ def impact(
     guard, own = now.ints[FIRED], a.guards[now.ints[FIRED], OWN]
     if now.ints[WAS_LOW] == 0 and not struck(a, now, room, t, before, behind):
         return JUMP, HARD
-    if run[SHAKEN] == 1.0 and now.ints[WAS_LOW] == 0 and 0 <= now.ints[SERIES] != own:
+    if run[SHAKEN] == 1.0 and now.ints[WAS_LOW] == 0 and alternates(a, now.ints[SERIES], own):
         shake(now.impacts[own], behind)
     speed = now.floats[GAP_SPEED]
     if not speed >= 0.0:
@@ -280,6 +282,18 @@ def impact(
         return asks(now, guard, AT), HARD
     now.ints[LOW_AHEAD] = 1
     return LANDED, field
+
+
+def alternates(a: AutomatonArrays, before: int, guard: int) -> bool:
+    """Whether an impact ends a series of another contact of the same bodies: some element of the
+    state is in the gaps of both."""
+    if before < 0 or before == guard:
+        return False
+    for k in range(a.guards[before, USES], a.guards[before, USES_END]):
+        for j in range(a.guards[guard, USES], a.guards[guard, USES_END]):
+            if a.uses[k] == a.uses[j]:
+                return True
+    return False
 
 
 def shake(count: int, x: Floats) -> None:

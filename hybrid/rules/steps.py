@@ -45,7 +45,7 @@ from .stops import stop
 from .weak import forget, weak_step
 from .zeros import EPS
 
-__all__ = ("step",)
+__all__ = ("STAYS_FOR", "step")
 
 #: Halvings in which the place is found where a flow ceases to be finite: each step towards it
 #: leaves this power of two of the way.
@@ -122,9 +122,10 @@ def step(
         sides[crossed] = side
     if status == 0 and (not h > SHORTEST_STEP or (tau + h == tau and h < most)):
         status = NO_STEP
-    seen = status == 0 and crossed < 0
+    seen, since = status == 0 and crossed < 0, max(abs(t), tau)
+    share = h / (since if since > 0.0 else most)
     for kink in range(count(p, program) if seen and not held else 0):
-        if stays(p, program, kink, t, tau, h, sides, c):
+        if stays(p, program, kink, share, h, sides, c):
             seen = False
             if jumps(p, program, kink, t, h, sides, c, aside, work):
                 return BY_ROUNDING, 0.0, -1
@@ -145,11 +146,12 @@ def step(
 
 
 def stays(
-    p: Programs, program: int, kink: int, t: float, tau: float, h: float, sides: Ints, c: Matrix
+    p: Programs, program: int, kink: int, share: float, h: float, sides: Ints, c: Matrix
 ) -> bool:
     """Whether a function at whose zero the flow changes its formula stays there along a step, but
-    for rounding. One that is exactly zero is none."""
-    if sides[kink] != 0 or h <= STAYS_FOR * max(abs(t), tau):
+    for rounding. One that is exactly zero does not. ``share``: how long the step is, as a share of
+    the time."""
+    if sides[kink] != 0 or share <= STAYS_FOR:
         return False
     place_of = p.index[program, KINKS] + kink
     size = power_size(c[p.kinks[place_of, KINK_ROW]], 0, c.shape[1] - 1, h)

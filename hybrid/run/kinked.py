@@ -20,6 +20,7 @@ from ..lowering import Field, Kink
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.cuts import MOVES
+from ..rules.steps import STAYS_FOR
 from ..rules.zeros import EPS
 from ..segment import Segment, nodes, of_powers
 from ..solvers import Solver, Stepper
@@ -266,8 +267,9 @@ class KinkedStepper(Stepper):
                 continue
             steps, led = steps + 1, led + own.length * self._jump(kink)
             self.open[kink.edge] = steps, led
-            long = steps >= UNDECIDED_STEPS or rests(kink, own, self.t0)
-            if long and np.any(led > LED_ASIDE * allowed):
+            long = own.length > STAYS_FOR * abs(self.t0 + self.tau)
+            stays = steps >= UNDECIDED_STEPS or (long and rests(kink, own, self.t0))
+            if stays and np.any(led > LED_ASIDE * allowed):
                 raise FlowError(f"up to t = {self.t0 + self.tau!r}, {NOT_DECIDED}")
 
     def _is_open(self, kink: Kink, own: Segment) -> bool:
