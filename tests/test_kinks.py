@@ -363,35 +363,6 @@ def test_what_fades_or_turns_back_does_not_run_empty(way):
     assert not run.jumps
 
 
-class Along(hy.Automaton):
-    """``z`` follows the sign of what is zero all along the motion, but for errors."""
-
-    x = hy.state()
-    z = hy.state()
-    p = hy.state()
-    q = hy.state()
-    rate: float = hy.parameter(0.7)
-
-    @hy.mode
-    def flow(self, t, s):
-        return self.rate * jnp.cos(t), jnp.sign(s.x - self.rate * jnp.sin(t)), s.q, -s.p
-
-
-class AlongWithTime(Along):
-    @hy.mode
-    def flow(self, t, s):
-        return self.rate, jnp.where(s.x > self.rate * t, 1.0, 0.0), s.q, -s.p
-
-
-@pytest.mark.parametrize("model", [Along, AlongWithTime])
-@pytest.mark.parametrize("way", ["taylor", "DOP853", "Dopri8"])
-def test_rounding_does_not_choose_the_formula(way, model):
-    """z went to 44 or to -6, as rounding had it, where it has to stay 0."""
-    start = {"x": 0.0, "z": 0.0, "p": 0.0, "q": 1.0}
-    with pytest.raises(hy.FlowError, match=r"stays there but for rounding.*hy\.switching"):
-        hy.simulate(model(), start, (0.0, 50.0), **SOLVERS[way])
-
-
 class Fading(hy.Automaton):
     """A damped swing that turns ever lower, and what follows the signs of it and of what fades."""
 

@@ -121,7 +121,7 @@ def _held(
 ) -> bool:
     """Whether both hold at a point of the way, whose state and rates are given."""
     look(p, program, 0, t + s, point, False, sides, aside, work)
-    set_apart(p, program, aside)
+    _set_apart(p, program, aside)
     if _agrees(p, program, s, h, scale, fastest, rates, c, aside):
         return True
     look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
@@ -150,7 +150,7 @@ def decided(
         s = share * h
         along(c, s, point)
         look(p, program, 0, t + s, point, False, sides, aside, work)
-        set_apart(p, program, aside)
+        _set_apart(p, program, aside)
         look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
         if not _decides(p, program, s, c, aside):
             return False
@@ -285,7 +285,7 @@ def look(
         sides[i] = int(work[first + i])
 
 
-def set_apart(p: Programs, program: int, aside: Matrix) -> None:
+def _set_apart(p: Programs, program: int, aside: Matrix) -> None:
     """Copy the flow and the watched functions to the second column, as the first is overwritten."""
     for j in range(p.index[program, FLOW], p.index[program, FLOW + 1]):
         row = p.flow[j]

@@ -10,24 +10,12 @@ from __future__ import annotations
 import math
 
 from .arrays import Floats, Ints, Matrix, Programs
-from .checks import (
-    ROUNDING_BESIDE,
-    SMALLEST,
-    arrives,
-    beside,
-    follows,
-    led,
-    look,
-    place,
-    rate_of,
-    set_apart,
-)
+from .checks import ROUNDING_BESIDE, arrives, beside, follows, led, look, place
 from .jets import KINKS
 from .kinks import (
     KINK_ROW,
     NO_SERIES,
     NOT_FINITE,
-    PART_ROW,
     SIDE_BLUR,
     SWITCHES,
     ZERO_SPACINGS,
@@ -40,23 +28,19 @@ from .kinks import (
     states,
 )
 from .lengths import SHORTEST_CUT, SHORTEST_STEP, time_scale, tolerated_length
-from .polynomials import power_size, power_value
+from .polynomials import power_value
 from .stops import stop
 from .weak import forget, weak_step
 from .zeros import EPS
 
-__all__ = ("STAYS_FOR", "step")
+__all__ = ("step",)
 
 #: Halvings in which the place is found where a flow ceases to be finite: each step towards it
 #: leaves this power of two of the way.
 BISECTIONS = 20
 
-#: Status codes besides those of :mod:`.kinks`: no step can be made; rounding chooses the formula.
-NO_STEP, BY_ROUNDING = -3, -4
-
-#: A function that is within so many roundings of zero over such a share of the time stays there:
-#: what goes through zero is farther from it by then.
-STAYS_WITHIN, STAYS_FOR = 256.0, 1e-6
+#: Status code besides those of :mod:`.kinks`: no step can be made.
+NO_STEP = -3
 
 
 def step(
@@ -122,13 +106,7 @@ def step(
         sides[crossed] = side
     if status == 0 and (not h > SHORTEST_STEP or (tau + h == tau and h < most)):
         status = NO_STEP
-    seen, since = status == 0 and crossed < 0, max(abs(t), tau)
-    share = h / (since if since > 0.0 else most)
-    for kink in range(count(p, program) if seen and not held else 0):
-        if stays(p, program, kink, share, h, sides, c):
-            seen = False
-            if jumps(p, program, kink, t, h, sides, c, aside, work):
-                return BY_ROUNDING, 0.0, -1
+    seen = status == 0 and crossed < 0
     if status < 0:
         h, crossed = weak_step(p, program, held, t, tau, x, most, sides, c, aside, work), -1
         if h == 0.0:
@@ -143,50 +121,6 @@ def step(
         side = crossed_to(c, kink_row(p, program, crossed), sides[crossed])
         put_beyond(p, program, crossed, side, t, tau, h, end, c, aside, end)
     return 0, h, crossed
-
-
-def stays(
-    p: Programs, program: int, kink: int, share: float, h: float, sides: Ints, c: Matrix
-) -> bool:
-    """Whether a function at whose zero the flow changes its formula stays there along a step, but
-    for rounding. One that is exactly zero does not. ``share``: how long the step is, as a share of
-    the time."""
-    if sides[kink] != 0 or share <= STAYS_FOR:
-        return False
-    place_of = p.index[program, KINKS] + kink
-    size = power_size(c[p.kinks[place_of, KINK_ROW]], 0, c.shape[1] - 1, h)
-    part = abs(c[p.kinks[place_of, PART_ROW], 0])
-    near = 0.0 < size <= STAYS_WITHIN * EPS * part < math.inf
-    return near and p.kinks[place_of, SWITCHES] == 1
-
-
-def jumps(
-    p: Programs,
-    program: int,
-    kink: int,
-    t: float,
-    h: float,
-    sides: Ints,
-    c: Matrix,
-    aside: Matrix,
-    work: Floats,
-) -> bool:
-    """Whether the two formulas at a kink lead apart along a step from its start."""
-    n, last = states(p, program), place(p, program, work)
-    point, apart, largest = work[last - n : last], 0.0, 0.0
-    for k in range(n):
-        point[k] = c[k, 0]
-    for side in (1, -1):
-        sides[kink] = side
-        look(p, program, 0, t, point, True, sides, aside, work)
-        if side == 1:
-            set_apart(p, program, aside)
-    sides[kink] = 0
-    for k in range(n):
-        rate, other = rate_of(p, program, k, aside, 1), rate_of(p, program, k, aside, 0)
-        apart = max(apart, abs(rate - other) * h)
-        largest = max(largest, SMALLEST * abs(c[k, 0]), abs(rate) * h)
-    return apart > STAYS_WITHIN * EPS * largest
 
 
 def put_beyond(

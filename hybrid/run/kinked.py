@@ -15,16 +15,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import FlowError
-from ..events import SHARES, Cut, among, blurs, cuts, moving, rests
+from ..events import SHARES, Cut, among, blurs, cuts, moving
 from ..lowering import Field, Kink
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.cuts import MOVES
-from ..rules.steps import STAYS_FOR
 from ..rules.zeros import EPS
-from ..segment import Segment, nodes, of_powers
+from ..segment import Segment, of_powers
 from ..solvers import Solver, Stepper
-from ..solvers.base import LEADS_BACK, NOT_DECIDED
+from ..solvers.base import LEADS_BACK
 from .entry import Departure, departure
 
 if TYPE_CHECKING:
@@ -58,13 +57,6 @@ SPACINGS = 16
 #: How far time and states are moved off what holds the state, relative to them, and how much of a
 #: deciding function that is zero there may be left when they are moved back; rounding leaves less.
 ASIDE, HELD_SHARE = 1e-4, 1e-3
-
-#: Steps in a row along which a deciding function is zero within the tolerances, more than where it
-#: goes through or turns; and how many tolerances the formula may then make of a state.
-UNDECIDED_STEPS, LED_ASIDE = 16, 100.0
-
-#: The last of the places along a step at which it is looked at for that.
-LAST_LOOK = 4
 
 #: How much of the rounding of a deciding function the last coefficients of its polynomial may be.
 NOISE = 1e4
@@ -152,7 +144,6 @@ class KinkedStepper(Stepper):
         self.solver, self.field, self.changes = solver, field, changes
         self.t0, self.x, self.length, self.first, self.sizes = start
         self.tau, self.seen, self.passes = 0.0, 0.0, 0
-        self.open: dict[Any, tuple[int, StateVector]] = {}
         self.way = way
         self.along = None if field.values is None else _Along(field.values)
         self._begin(self.length)
@@ -187,7 +178,6 @@ class KinkedStepper(Stepper):
             cut = self._first_cut(own) or self._next_to(own) or self._at_end(own, signs)
             if cut is None:
                 self.passes = 0
-                self._require_decided()
                 return
             self.tau, self.x = before
             inside = cut.before > 0.0
@@ -198,7 +188,6 @@ class KinkedStepper(Stepper):
                 short = min(SHORTER * short, 0.9)
             else:
                 self._pass(cut, ahead)
-                self._require_decided()
                 return
 
     def _depart(self, way: Departure, limit: float) -> None:
@@ -250,56 +239,6 @@ class KinkedStepper(Stepper):
             return False
         self.signs = after
         return True
-
-    def _require_decided(self) -> None:
-        """Refuse to go on where rounding, or the error of the steps, has chosen the formula.
-
-        Raises
-        ------
-        FlowError
-            If a function at whose zero the flow jumps has stayed there but for that, and the other
-            formula would have led elsewhere.
-        """
-        own, allowed = self._segment, self.solver.rtol * np.abs(self.x) + self.solver.atol
-        for kink in (kink for kink in self.changes if kink.change == "jumps" and kink.uses):
-            steps, led = self.open.pop(kink.edge, (0, np.zeros(len(self.x))))
-            if not self._is_open(kink, own):
-                continue
-            steps, led = steps + 1, led + own.length * self._jump(kink)
-            self.open[kink.edge] = steps, led
-            long = own.length > STAYS_FOR * abs(self.t0 + self.tau)
-            stays = steps >= UNDECIDED_STEPS or (long and rests(kink, own, self.t0))
-            if stays and np.any(led > LED_ASIDE * allowed):
-                raise FlowError(f"up to t = {self.t0 + self.tau!r}, {NOT_DECIDED}")
-
-    def _is_open(self, kink: Kink, own: Segment) -> bool:
-        """Whether a deciding function is zero along a step, but for what the tolerances make of it,
-        and is not exactly zero."""
-        most = 0.0
-        for tau in (own.start + own.length * nodes(LAST_LOOK)).tolist():
-            t, x = self.t0 + tau, own(tau)
-            here = kink.value(t, x.tolist())
-            most = max(most, abs(here))
-            apart = (kink.value(t, there.tolist()) - here for there in self._beside(kink, x))
-            if not abs(here) <= sum(map(abs, apart)):
-                return False
-        return most > 0.0
-
-    def _beside(self, kink: Kink, x: StateVector) -> list[StateVector]:
-        """States beside one, each off by the relative tolerance in one of the elements that a
-        deciding function depends on. What fades to zero alone keeps its sign there."""
-        apart = [self.solver.rtol * x * (np.arange(len(x)) == i) for i in kink.uses]
-        return [x + side * off for off in apart for side in (-1.0, 1.0)]
-
-    def _jump(self, kink: Kink) -> StateVector:
-        """By how much the flow jumps between two states around here at which a deciding function
-        has other signs."""
-        t, flows = self.t0 + self.tau, dict[float, Any]()
-        for x in self._beside(kink, self.x):
-            flows[float(np.sign(kink.value(t, x.tolist())))] = self.field.flow(t, x)
-        if not flows.keys() >= {-1.0, 1.0}:
-            return np.zeros(len(self.x))
-        return np.abs(flows[1.0] - flows[-1.0])
 
     def _next_to(self, own: Segment) -> Cut | None:
         """The place of the kink, where the method's own steps close in on it and become as short as

@@ -52,14 +52,6 @@ LEADS_BACK = (
 )
 
 
-#: What a run ends with where a deciding function is zero all along but for errors.
-NOT_DECIDED = (
-    "a function at whose zero the flow jumps (sign, where) stays there but for rounding, or the "
-    "error of the steps, which chooses the formula: write the flow without it there; where both "
-    "formulas lead back to the zero, declare hy.switching"
-)
-
-
 #: The methods of the solvers that have several.
 METHOD_NAMES = {
     "scipy": ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"),

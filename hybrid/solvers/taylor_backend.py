@@ -16,10 +16,10 @@ from ..lowering import Field
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.kinks import NO_SERIES, NOT_FINITE
-from ..rules.steps import BY_ROUNDING, NO_STEP
+from ..rules.steps import NO_STEP
 from ..segment import Segment, from_powers, terms
 from . import base
-from .base import LEADS_BACK, NOT_DECIDED, Solver, Stepper
+from .base import LEADS_BACK, Solver, Stepper
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
@@ -29,7 +29,6 @@ REFUSED = {
     NO_SERIES: "the flow is not finite, or has no Taylor series",
     NOT_FINITE: base.NO_FLOW_HERE,
     NO_STEP: f"the Taylor series does not converge: the step became zero; {LEADS_BACK}",
-    BY_ROUNDING: NOT_DECIDED,
 }
 
 
