@@ -92,20 +92,29 @@ def projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segme
 def resolved(segment: Segment, t0: float, project: Callable[..., Any]) -> Segment:
     """A segment of an arc that is projected wherever it is evaluated, as a polynomial alone.
 
-    It goes through so many projected states that its last coefficients are rounding.
+    It goes through so many projected states that its last coefficients are rounding. None of them
+    is at an end, where rounding may have them on the other side of a corner; and it is the segment
+    itself where that is as close.
     """
+
+    def states(places: Numbers) -> tuple[Numbers, Matrix]:
+        taus = segment.start + 0.5 * (1.0 + places) * segment.length
+        rows = zip((t0 + taus).tolist(), segment(taus).tolist(), strict=True)
+        return taus, np.array([project(t, x) for t, x in rows])
+
     degree, last = max(segment.degree, 1), np.inf
     while True:
         degree = min(2 * degree, MOST_RESOLVED)
-        taus = segment.start + segment.length * nodes(degree)
-        rows = zip((t0 + taus).tolist(), segment(taus).tolist(), strict=True)
-        values = np.array([project(t, x) for t, x in rows])
-        found = interpolated(segment.start, segment.length, values)
+        places, to_coefficients = inner_nodes(degree)
+        found = Segment(segment.start, segment.length, to_coefficients @ states(places)[1])
         sizes = np.abs(found.coefficients)
         tail, small = sizes[-2:].max(axis=0), LAST_ROUNDED * sizes.max(axis=0)
         if degree == MOST_RESOLVED or ((tail <= small) | (2.0 * tail >= last)).all():
-            return found
+            break
         last = tail
+    taus, exact = states(0.5 * (places[1:] + places[:-1])[:: max(degree // 4, 1)])
+    closer = np.abs(found(taus) - exact).max() < np.abs(segment(taus) - exact).max()
+    return found if closer else segment
 
 
 def terms(series: np.ndarray, length: Any) -> np.ndarray:
@@ -160,6 +169,15 @@ def nodes(degree: int) -> np.ndarray:
 def from_values(degree: int) -> np.ndarray:
     """Matrix from values at :func:`nodes` to Chebyshev coefficients."""
     return np.linalg.inv(chebyshev.chebvander(2.0 * nodes(degree) - 1.0, degree))
+
+
+@cache
+def inner_nodes(degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Chebyshev points of the first kind on [-1, 1], none of them an end, increasing; and the
+    matrix from values there to Chebyshev coefficients."""
+    points = -np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+    points.setflags(write=False)
+    return points, np.linalg.inv(chebyshev.chebvander(points, degree))
 
 
 @cache
