@@ -57,6 +57,9 @@ WIDEST = 1e-4
 #: is made may be off, as a sum of some terms is.
 MOVED_BY = 8.0 * EPS
 
+#: The least length of a step, as a share of the time, along which a deciding function may rest.
+RESTS_FOR = 1e-9
+
 #: A guard that becomes undefined (``sqrt`` at 0) counts as zero there if it is this small relative
 #: to its largest value. Rounding resolves places 1e-16 from the end, where even a fourth root is
 #: 1e-4.
@@ -139,7 +142,7 @@ def zeros(
         has exceeded this.
     """
     places: list[Cut] = []
-    for kink in moving(guard.kinks, segment, t0, ends):
+    for kink in guard.kinks:
         places = among(places, cuts(kink, segment, t0, scale, ends, 0.0, places))
     yield from _between(guard, segment, t0, order, scale, tolerance, ends, places, noise)
 
@@ -165,7 +168,10 @@ def moving(
 
 
 def rests(kink: Kink, segment: Segment, t0: float) -> bool:
-    """Whether a deciding function is nowhere along a step further from zero than by rounding."""
+    """Whether a deciding function is nowhere along a step further from zero than by rounding; in a
+    step so short that it may go through zero there, it does not rest."""
+    if segment.length <= RESTS_FOR * abs(t0 + segment.end):
+        return False
     places = [(t0 + tau, segment(tau).tolist()) for tau in (segment.end, segment.start)]
     blur = 0.0
     for t, x in places:

@@ -133,8 +133,7 @@ def note_sides(a: AutomatonArrays, now: Now, room: Room, t: float) -> None:
             before = now.signs[g - first]
             if abs(value) <= noise:
                 off = moving(a, now, room, g, t, now.end, value, rate, before)
-                turns = before * side < 0 and before * value > 0.0  # it comes back to zero
-                side = side if stays and not off and not turns else before
+                side = side if stays and not off else before
                 now.touched[a.guards[g, OWN]] = side * now.ints[FLIGHTS]
 
 

@@ -332,9 +332,7 @@ class ArcFlow:
                     waits = self._inside(index) if self.signs else 0
                     stays = self.entered[index] == 1 and abs(rate) * stepper.tau <= 2.0 * noise
                     side = int(np.sign(rate)) if stays else side_before(rate, bend, noise)
-                    turns = stays and waits * side < 0 and waits * value > 0.0
-                    own = turns or moves_off(*about, waits)  # it comes to zero from that side
-                    found[guard.edge] = inside or (waits if own else side)
+                    found[guard.edge] = inside or (waits if moves_off(*about, waits) else side)
         return found
 
     def _since(self, index: int, before: int, t: float, x: list[float]) -> float:
