@@ -126,7 +126,7 @@ def start_of(
             high, fast, _ = sizes_of(a, room, guard, t, now.seen)
             high = max(size, high) if high < math.inf else size
             fast = max(rate, fast) if fast < math.inf else rate
-        out = crossing if side == 0 else -side
+        out = crossing if side == 0 else 1 if c[1] > 0.0 else -1
         thrown = used or (kind == EDGE and shares(a, now, room, c))
         out = out if kind in (EDGE, SWITCH) and not thrown else 0
         waits = 0 if out == 0 else -crossing if crossing != 0 else side
@@ -323,8 +323,7 @@ def start(
     out : int
         A sign that a rate does not give the guard of an edge or a switching if it turns back within
         rounding, as the guard then only touches zero: the one with which it would fire, or, if its
-        sign before is known, the other one; back on its own side it flies on, however low. 0 for
-        that which has just fired, and where there is none.
+        sign before is known, either; 0 for that which has just fired, and where there is none.
     """
     moves = value > 0.0 and abs(slope) > GUARD_ROUNDING * EPS * fast
     noise = GUARD_ROUNDING * EPS * (size + (0.0 if moves else high))

@@ -651,7 +651,9 @@ class _Here:
             return 0
         if guard.kind == "edge" and self.shares(index, jumped.used):
             return 0
-        return -jumped.before(guard.edge, 1) or DIRECTIONS[guard.crossing]
+        if jumped.before(guard.edge, 1):
+            return 1 if guard.lie(self.t, self.x.tolist())[1] > 0 else -1
+        return DIRECTIONS[guard.crossing]
 
     def beyond(self, guard: Guard) -> tuple[float, np.ndarray]:
         """Time and state just beyond the kinks of a guard."""
