@@ -745,7 +745,7 @@ class ArcFlow:
             return []
         start = stepper.tau
         x = self._onto(fired.cut, segment, start, stepper.x)
-        flow = np.array(self.field.rhs(self.now.t + start, x.tolist()))
+        flow = self.field.flow(self.now.t + start, x)
         spacing = float(np.spacing(abs(self.now.t) + start))
         shift = self._beyond(fired.cut, start, x, flow, spacing, length - start)
         more = (shift + spacing * n for n in range(JUMPS_WITHIN))

@@ -324,11 +324,12 @@ def _accelerated(sequence: Numbers, clock: Clock | None) -> tuple[float, float]:
     """
     if len(sequence) <= LEAST_CYCLES + 1:
         return _estimate(sequence, clock)
-    signs = np.where(np.arange(len(sequence)) * GOLDEN % 1.0 < 0.5, 0.5, -0.5)
-    step = np.spacing(np.abs(sequence).max()) if clock is None else 0.0
-    moved = sequence + signs * step
+    moved = None
+    if clock is None:
+        signs = np.where(np.arange(len(sequence)) * GOLDEN % 1.0 < 0.5, 0.5, -0.5)
+        moved = sequence + signs * np.spacing(np.abs(sequence).max())
     now, error = _estimate(sequence, clock, moved)
-    shorter, _ = _estimate(sequence[:-1], clock, moved[:-1])
+    shorter, _ = _estimate(sequence[:-1], clock, None if moved is None else moved[:-1])
     return now, max(error, abs(now - shorter))
 
 
