@@ -290,8 +290,24 @@ def test_a_ball_that_loses_a_power_of_its_speed_rests_within_the_bound(solver, p
         run = hy.simulate(model, start, (0.0, 2.0 * exact), rtol=rtol, solver=solver)
         (point,) = run.zeno
         assert abs(point.t - exact) <= point.t_error
-        assert point.t_error == math.inf or point.t_error <= 2.0 * max(rtol, 2e-10) * exact
+        assert point.t_error <= 2.0 * max(rtol, 2e-10) * exact
         assert len(run.jumps) <= 100
+
+
+@pytest.mark.parametrize("rtol", [1e-10, 1e-13])
+@pytest.mark.parametrize("p", [0.6, 0.76, 0.82, 0.88])
+def test_a_limit_is_as_exact_as_rounding_lets_it_be(p, rtol):
+    """Doubles do not tell the limit as well as was asked. It was waited for, in vain or for ever,
+    or the bound was infinite, as luck in the last digits would have it. A limit is taken where
+    rounding leaves 1e-10 of it open: two runs, with what the errors of their jumps add, have 4e-10
+    here, of which another processor may make more."""
+    for a, v in np.random.default_rng(8).uniform([0.5, 0.5], [0.9, 1.0], (2, 2)).tolist():
+        (first,), left = losing(a, p, v, 1)
+        exact = first + left
+        span = (0.0, 2.0 * exact)
+        run = hy.simulate(Losing(a=a, p=p), {"x": 0.0, "v": v}, span, rtol=rtol, max_jumps=1000)
+        (point,) = run.zeno
+        assert abs(point.t - exact) <= point.t_error <= 2e-9 * exact
 
 
 class Undefined(hy.Automaton):
@@ -692,7 +708,7 @@ def test_no_estimate_is_taken_for_better_than_it_is(kind):
         }[kind]
         limit_of = draw.uniform(0, 10) + away[0]
         seen = (limit_of - away) * (1.0 + 1e-16 * draw.integers(-2, 3, len(k)))
-        value, error, scale = accelerated(seen[:, None], None)
+        value, error, scale, _ = accelerated(seen[:, None], None)
         if error[0] <= 1e-12 * scale[0]:
             taken += 1
             assert abs(value[0] - limit_of) <= max(error[0], 1e-11 * scale[0])

@@ -474,7 +474,7 @@ class Cycles:
             seen = self.seen.x[closings]
             times, spans = self.seen.since(closings), self.seen.spans(closings)
             clock = Clock.of(times, spans) if found.ratio == 1.0 else None
-            x_inf, error, _ = accelerated(seen, clock, self.beside)
+            x_inf, error, *_ = accelerated(seen, clock, self.beside)
             limits.append(x_inf)
             errors.append(error)
         first = self.last(length + 1, length * (found.turns - 2))

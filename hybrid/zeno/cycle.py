@@ -79,6 +79,11 @@ ESTIMATE_CAUTION = 8.0
 #: Relative rounding of times and states.
 CYCLE_ROUNDING = 4e-16
 
+#: The most that this may leave open of a limit, relative to its size, by a clock, for the limit to
+#: be taken although it is not as exact as was asked: more turns would hardly make it more so.
+#: Without a clock it is not known how much of an error is rounding.
+LEFT_OPEN = 1e-10
+
 #: Signs that follow no pattern: those of the fractions of its multiples, less a half.
 GOLDEN = 0.618033988749895
 
@@ -228,8 +233,10 @@ def _limit(
         times = -np.append(np.cumsum(spans[::-1])[::-1], 0.0)
     columns, others = np.column_stack([times, states]), [1 + i for i in beside]
     for closely in False, True:
-        now, error, scale = accelerated(columns, clock, others, closely)
-        slack = max(rtol, 1e-13) * np.maximum(scale, scale[0]) + atol
+        now, error, scale, rounding = accelerated(columns, clock, others, closely)
+        sizes = np.maximum(scale, scale[0])
+        slack = max(rtol, 1e-13) * sizes + atol
+        slack += np.minimum(2.0 * rounding, LEFT_OPEN * sizes)
         if not np.all(np.delete(error <= slack, others)):
             return None
     remaining = float(now[0] - times[-1])
@@ -265,8 +272,9 @@ def _moving(columns: Matrix, blur: Numbers) -> Matrix:
 
 def accelerated(
     columns: Matrix, clock: Clock | None, beside: Sequence[int] = (), closely: bool = True
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Limits of sequences (one per column), bounds on their errors, and their sizes.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Limits of sequences (one per column), bounds on their errors, their sizes, and what of the
+    errors is rounding by the clock.
 
     ``clock``: that of the turns, if their durations fall like a power. Columns in ``beside`` hold
     discrete variables on which nothing else depends. They keep their last value, with infinite
@@ -275,12 +283,12 @@ def accelerated(
     """
     estimate = _accelerated if closely else _estimate
     with np.errstate(all="ignore"):  # equal terms: a non-finite estimate is never the best
-        now, error = np.array([estimate(column, clock) for column in columns.T]).T
+        now, error, noise = np.array([estimate(column, clock) for column in columns.T]).T
     scale, rounding = np.abs(now) + np.ptp(columns, axis=0), CYCLE_ROUNDING * len(columns)
     error += rounding * scale
     for k in beside:
         now[k], error[k] = columns[-1, k], np.inf if np.ptp(columns[-FEW_TURNS:, k]) else 0.0
-    return now, error, scale
+    return now, error, scale, noise
 
 
 def _strays(left: Numbers, known: Numbers) -> int:
@@ -315,8 +323,8 @@ def _raabe(durations: Numbers) -> tuple[float, float]:
     return float(grown.mean()), float(grown.max())
 
 
-def _accelerated(sequence: Numbers, clock: Clock | None) -> tuple[float, float]:
-    """The limit of a sequence, and a bound on its error.
+def _accelerated(sequence: Numbers, clock: Clock | None) -> tuple[float, float, float]:
+    """The limit of a sequence, a bound on its error, and what of this is rounding by the clock.
 
     Estimates may agree by chance. The bound is also that of what becomes of them without the last
     term, and if the terms move by their rounding, which estimates amplify; by a clock they tell
@@ -328,20 +336,20 @@ def _accelerated(sequence: Numbers, clock: Clock | None) -> tuple[float, float]:
     if clock is None:
         signs = np.where(np.arange(len(sequence)) * GOLDEN % 1.0 < 0.5, 0.5, -0.5)
         moved = sequence + signs * np.spacing(np.abs(sequence).max())
-    now, error = _estimate(sequence, clock, moved)
-    shorter, _ = _estimate(sequence[:-1], clock, None if moved is None else moved[:-1])
-    return now, max(error, abs(now - shorter))
+    now, error, noise = _estimate(sequence, clock, moved)
+    shorter, *_ = _estimate(sequence[:-1], clock, None if moved is None else moved[:-1])
+    return now, max(error, abs(now - shorter)), noise
 
 
 def _estimate(
     sequence: Numbers, clock: Clock | None, moved: Numbers | None = None
-) -> tuple[float, float]:
-    """The limit of a sequence, and how well the last estimates of it agree, also with those of the
-    sequence ``moved`` by its rounding, if any."""
+) -> tuple[float, float, float]:
+    """The limit of a sequence, how well the last estimates of it agree, also with those of the
+    sequence ``moved`` by its rounding, if any, and what of this is rounding by the clock."""
     if len(sequence) <= LEAST_CYCLES:
         before, now = _aitken(sequence[:-1]), _aitken(sequence)
-        return now, ESTIMATE_CAUTION * abs(now - before)
-    best = (float(sequence[-1]), float("inf"))
+        return now, ESTIMATE_CAUTION * abs(now - before), 0.0
+    best = (float(sequence[-1]), float("inf"), 0.0)
     tables = _tables(sequence, clock)
     beside = tables if moved is None else _tables(moved, clock)
     for table, others in zip(tables, beside, strict=True):
@@ -351,7 +359,7 @@ def _estimate(
         for value, noise, (other, _), *two in rows:
             error = ESTIMATE_CAUTION * float(max(*two, abs(value - other))) + float(noise)
             if error < best[1]:
-                best = (float(value), error)
+                best = (float(value), error, float(noise))
     return best
 
 
