@@ -337,3 +337,34 @@ def test_a_fault_that_shows_in_a_run_shows_in_every_run():
     for solver in ("taylor", "taylor", "scipy", "scipy"):
         with pytest.raises(hy.DeclarationError, match="is not a velocity"):
             hy.simulate(Tilting(), {"x": 1.0, "v": 0.0, "q": 0.0}, (0.0, 1.0), solver=solver)
+
+
+def test_a_velocity_is_one_for_all_parameters_and_states():
+    """A momentum over a mass that is 1 if nothing else is said; a factor beyond some state. The
+    impact gave the momentum the speed, and with another mass a wrong sign."""
+
+    class Momentum(hy.Automaton):
+        x = hy.state()
+        p = hy.state()
+        m: float = hy.parameter(1.0, positive=True)
+
+        @hy.mode
+        def f(self, t, s):
+            return s.p / self.m, -9.8 * self.m
+
+        hit = hy.contact(f, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    class Slowed(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+        at: float = hy.parameter(2.0)
+
+        @hy.mode
+        def f(self, t, s):
+            return jnp.where(s.x > self.at, 0.5, 1.0) * s.v, -9.8
+
+        hit = hy.contact(f, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    for model, name in (Momentum(m=2.0), "p"), (Momentum(), "p"), (Slowed(), "v"):
+        with pytest.raises(hy.DeclarationError, match="is not a velocity"):
+            hy.simulate(model, {"x": 1.0, name: 0.0}, (0.0, 1.0))
