@@ -360,8 +360,8 @@ def _sought(driver: Driver) -> tuple[CycleLimit, Turn] | None:
     if cycles.stands:
         return cycles.reached(rtol, atol, driver.seen)
     own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
-    for share, least, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, DROWNING)]:
-        sought = cycles.limit(driver.scene, share, least, driver.seen)
+    for *known, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, DROWNING)]:
+        sought = cycles.limit(driver.scene, *known, driver.seen)
         if sought is not None and sought[0].remaining <= left * cycles.longest:
             return sought
     return None

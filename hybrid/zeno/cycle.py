@@ -79,8 +79,8 @@ ESTIMATE_CAUTION = 8.0
 #: Relative rounding of times and states.
 CYCLE_ROUNDING = 4e-16
 
-#: Least relative accuracy asked of a limit; of a state also relative to the largest one, as small
-#: ones may be what is left of large ones.
+#: Least relative accuracy asked of a limit; of a state also in the size of the largest one, as those
+#: that are small may be what is left of large ones.
 LEAST_SLACK = 1e-13
 
 #: The most that this may leave open of a limit, relative to its size, by a clock, for the limit to
@@ -177,7 +177,7 @@ def limit(
     beside: Sequence[int] = (),
     blur: Callable[[], Numbers] = lambda: np.zeros(1),
     spans: Numbers | None = None,
-    largest: Numbers | None = None,
+    largest: Numbers | float = 0.0,
 ) -> CycleLimit | None:
     """The limit of a cycle; None if it does not accumulate, or not yet clearly enough.
 
@@ -198,7 +198,6 @@ def limit(
     largest : array, shape (n,)
         The largest absolute states, to which ``rtol`` relates where those of the turns are less.
     """
-    largest = np.zeros(states.shape[1]) if largest is None else largest
     durations = np.diff(times)
     if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
         return None
@@ -221,7 +220,7 @@ def _limit(
     beside: Sequence[int],
     blur: Callable[[], Numbers],
     spans: Numbers | None,
-    largest: Numbers,
+    largest: Numbers | float,
 ) -> CycleLimit | int | None:
     """As :func:`limit`, by one law; where another has begun at some turn, the place of that turn.
     ``elapsed``: the time since the first of all turns."""
@@ -245,7 +244,7 @@ def _limit(
         now, error, scale, rounding = accelerated(columns, clock, others, closely)
         sizes = np.append(scale[0], np.maximum(scale[1:], largest))
         slack = max(rtol, LEAST_SLACK) * sizes
-        slack[1:] += atol + LEAST_SLACK * np.max(np.delete(largest, beside))
+        slack[1:] += atol + LEAST_SLACK * np.max(largest)
         slack += np.minimum(2.0 * rounding, LEFT_OPEN * sizes)
         if not np.all(np.delete(error <= slack, others)):
             return None
