@@ -388,11 +388,8 @@ class Cycles:
         counts = last & (turns[-1] >= WINDOW_FALL * turns[-2])
         return np.setdiff1d(np.flatnonzero(counts), self.beside).tolist()  # type: ignore[no-any-return]
 
-    def limit(
-        self, scene: Scene, rtol: float, atol: float, largest: StateVector
-    ) -> tuple[CycleLimit, Turn] | None:
+    def limit(self, scene: Scene, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
         """The limit at which the last jumps accumulate, and the last turn; None if they do not.
-        ``largest``: the largest states seen.
 
         The states may come round after several turns of the edges: a reset may change a sign.
         """
@@ -401,7 +398,7 @@ class Cycles:
             closings = self._shrinking(length)
             times, states = self.seen.since(closings), self.seen.x[closings]
             blur = partial(blurs, scene, self.seen, closings, length)
-            ends = rtol, atol, self.beside, blur, self.seen.spans(closings), largest
+            ends = rtol, atol, self.beside, blur, self.seen.spans(closings)
             found = limit(self._cycle(shortest), times, states, *ends)
             turn = None if found is None else self._turn(length, found)
             if found is not None and turn is not None:

@@ -361,7 +361,7 @@ def _sought(driver: Driver) -> tuple[CycleLimit, Turn] | None:
         return cycles.reached(rtol, atol, driver.seen)
     own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
     for *known, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, DROWNING)]:
-        sought = cycles.limit(driver.scene, *known, driver.seen)
+        sought = cycles.limit(driver.scene, *known)
         if sought is not None and sought[0].remaining <= left * cycles.longest:
             return sought
     return None

@@ -79,10 +79,6 @@ ESTIMATE_CAUTION = 8.0
 #: Relative rounding of times and states.
 CYCLE_ROUNDING = 4e-16
 
-#: Least relative accuracy asked of a limit; of a state also in the size of the largest one, as those
-#: that are small may be what is left of large ones.
-LEAST_SLACK = 1e-13
-
 #: The most that this may leave open of a limit, relative to its size, by a clock, for the limit to
 #: be taken although it is not as exact as was asked: more turns would hardly make it more so.
 #: Without a clock it is not known how much of an error is rounding.
@@ -177,7 +173,6 @@ def limit(
     beside: Sequence[int] = (),
     blur: Callable[[], Numbers] = lambda: np.zeros(1),
     spans: Numbers | None = None,
-    largest: Numbers | float = 0.0,
 ) -> CycleLimit | None:
     """The limit of a cycle; None if it does not accumulate, or not yet clearly enough.
 
@@ -195,8 +190,6 @@ def limit(
         Gives how far each of the times may be off, beside its own rounding.
     spans : array, shape (cycles,), optional
         The durations of the turns, if they are known better than by the times.
-    largest : array, shape (n,)
-        The largest absolute states, to which ``rtol`` relates where those of the turns are less.
     """
     durations = np.diff(times)
     if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
@@ -206,7 +199,7 @@ def limit(
     while isinstance(found, int):
         times, states = times[found:], states[found:]
         spans = None if spans is None else spans[found:]
-        found = _limit(edges, times, states, elapsed, rtol, atol, beside, blur, spans, largest)
+        found = _limit(edges, times, states, elapsed, rtol, atol, beside, blur, spans)
     return found
 
 
@@ -220,7 +213,6 @@ def _limit(
     beside: Sequence[int],
     blur: Callable[[], Numbers],
     spans: Numbers | None,
-    largest: Numbers | float,
 ) -> CycleLimit | int | None:
     """As :func:`limit`, by one law; where another has begun at some turn, the place of that turn.
     ``elapsed``: the time since the first of all turns."""
@@ -242,9 +234,8 @@ def _limit(
     columns, others = np.column_stack([times, states]), [1 + i for i in beside]
     for closely in False, True:
         now, error, scale, rounding = accelerated(columns, clock, others, closely)
-        sizes = np.append(scale[0], np.maximum(scale[1:], largest))
-        slack = max(rtol, LEAST_SLACK) * sizes
-        slack[1:] += atol + LEAST_SLACK * np.max(largest)
+        sizes = np.maximum(scale, scale[0])
+        slack = max(rtol, 1e-13) * sizes + atol
         slack += np.minimum(2.0 * rounding, LEFT_OPEN * sizes)
         if not np.all(np.delete(error <= slack, others)):
             return None

@@ -153,33 +153,3 @@ def test_a_guard_may_be_in_any_unit(way, model):
     assert [each.jumps for each in found] == [8] * len(units)
     for each in found[1:]:  # errors of 1e-9 a step, in some tens of steps
         assert each.final.x == pytest.approx(found[0].final.x, abs=1e-6)
-
-
-class Beads(hy.Automaton):
-    """One above another; ``r``: restitution between them, which is less than on the floor."""
-
-    low = hy.state()
-    high = hy.state()
-    v = hy.state()
-    w = hy.state()
-    unit: float = hy.parameter(1.0)
-    r: float = hy.parameter(0.3)
-
-    @hy.mode
-    def flight(self, t, s):
-        return s.v, s.w, -9.8 * self.unit, -9.8 * self.unit
-
-    floor = hy.contact(flight, gap=lambda self, t, s: s.low, restitution=0.43)
-    between = hy.contact(flight, gap=lambda self, t, s: s.high - s.low, restitution="r")
-
-
-@pytest.mark.parametrize("r", [0.25, 0.28, 0.31, 0.34])
-def test_units_that_are_powers_of_two_change_exponents_alone(way, r):
-    """What was asked of the states at the limit of a cycle was a share of its duration, too: in
-    small units it was less than in large ones."""
-    start = [0.26, 0.91, -0.6, 0.5]
-    one, small, large = (run(way, Beads, start, 1.5, unit, r=r) for unit in (1.0, 2**-30, 2**20))
-    for other, unit in (small, 2.0**-30), (large, 2.0**20):
-        assert other.accumulations == one.accumulations > 0
-        assert [point.t for point in other.zeno] == [point.t for point in one.zeno]
-        assert np.array_equal(np.array(other.final) / unit, np.array(one.final))
