@@ -41,10 +41,10 @@ RESET_SAMPLES = 20
 #: Number of random points, of parameters, time and state, at which a contact's velocity is checked
 #: to be the derivative of its position: a factor shows at the first but by chance, a choice between
 #: formulas at most.
-SLOPE_SAMPLES = 8
+VELOCITY_SAMPLES = 8
 
 #: How far from one a slope may be by rounding at these points, relative to the flow there.
-SLOPE_ROUNDING = 1e-9
+VELOCITY_ROUNDING = 1e-9
 
 #: Most secant steps to a zero of a guard, and the residual that counts as zero, relative to the
 #: initial values: some thousand times the rounding of a reset's arithmetic.
@@ -490,7 +490,7 @@ class Lowered:
         """
         flow, own, defaults = self.flow(mode), sum(map(prod, self._own_shapes)), self.defaults()
         draw, places = random.Random(0), []
-        for k in range(SLOPE_SAMPLES):
+        for k in range(VELOCITY_SAMPLES):
             moved = [p + draw.uniform(0.1, 0.3) * (abs(p) or 1.0) for p in defaults[:own]]
             rhs = flow.bind([*moved, *defaults[own:]] if k else defaults)
             reach = (0.5, 1.5) if k == 0 else (-3.0, 3.0)
@@ -501,7 +501,7 @@ class Lowered:
             for k, (rhs, t, x) in enumerate(places):
                 one, other = (rhs(t, [*x[:j], v, *x[j + 1 :]])[i] for v in (x[j], x[j] + 1.0))
                 off = abs(other - one - 1.0) / max(1.0, abs(one))
-                if not (off < SLOPE_ROUNDING or (k and not isfinite(off))):
+                if not (off < VELOCITY_ROUNDING or (k and not isfinite(off))):
                     return False
             return True
 
