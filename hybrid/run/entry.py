@@ -235,9 +235,13 @@ def signs_at_end(entry: Entry, t: float, x: StateVector, reach: float) -> dict[s
         here = 1 if value > 0 else -1 if value < 0 else 0
         late = entry.signs and abs(value) <= near and (not here or fires(guard.crossing, here))
         signs[guard.edge] = entry.signs[index] if late else here
-        if guard.kind in ("release", "leave"):
-            signs[guard.edge] = -DIRECTIONS[guard.crossing]
-    return signs
+    return signs | holding(entry.field)
+
+
+def holding(field: Field) -> dict[str, int]:
+    """By edge, the sign that what holds the state has while it does."""
+    held = (guard for guard in field.guards if guard.kind in ("release", "leave"))
+    return {guard.edge: -DIRECTIONS[guard.crossing] for guard in held}
 
 
 def expand(field: Field, t: float, x: StateVector) -> Any:

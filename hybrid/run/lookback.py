@@ -31,6 +31,7 @@ from ..rules.places import (
     WINDOW,
     T,
 )
+from .entry import holding
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -103,7 +104,8 @@ def passes(machine: Machine, left: Left, status: int) -> int:
         last, tau, x = int(memory.ints[STEPS_DONE]), float(memory.floats[BEGAN]), memory.start
         steps, made = machine.kept.take_until(left, last, place, tau)
         driver.steps += made
-        _through(machine, tau, x, steps, memory.signs)
+        edges = (guard.edge for guard in driver.entry.field.guards)
+        _through(machine, tau, x, steps, dict(zip(edges, memory.signs.tolist(), strict=False)))
         memory.ints[IN_ARC] = -1
     if status == WINDOW:
         memory.told = False
@@ -135,8 +137,9 @@ def _passes_window(machine: Machine, left: Left, status: int, memory: Memory) ->
     driver.steps += made
     before, tau, x = driver.field.guards, float(machine.floats[TAU]), machine.now.end.tolist()
     now = driver.record.now.after(tau)
-    values = [1.0 if g.edge == fired else g.value(now.t, x) for g in before]
-    _through(machine, tau, machine.now.end, steps, np.sign(values))
+    signs = {g.edge: 1 if g.edge == fired else int(np.sign(g.value(now.t, x))) for g in before}
+    signs |= holding(driver.entry.field)
+    _through(machine, tau, machine.now.end, steps, signs)
     memory.passed(driver.t, driver.entry.x, driver.entry.field, fired)
     driver.look(driver.entry.x)
     machine.tell(0.0, left)
@@ -144,19 +147,18 @@ def _passes_window(machine: Machine, left: Left, status: int, memory: Memory) ->
         return FULL
     machine.ints[ENTERED], machine.now.orders[:] = 1, 0
     x = driver.entry.x.tolist()
-    pairs = zip(driver.field.guards, values, strict=True)
-    return GOES_ON if all(g.value(driver.t, x) * v > 0 for g, v in pairs) else LOOK
+    kept = (g.value(driver.t, x) * signs[g.edge] > 0 for g in driver.field.guards)
+    return GOES_ON if all(kept) else LOOK
 
 
 def _through(
-    machine: Machine, tau: float, x: StateVector, steps: Steps | None, signs: np.ndarray
+    machine: Machine, tau: float, x: StateVector, steps: Steps | None, signs: dict[str, int]
 ) -> None:
     """Record the current arc up to the place where the next windows of the past begin."""
     driver = machine.driver
     segments = steps.segments(np.array([tau])) if steps and machine.dense else []
     x = driver.record.extend(driver.entry.field, driver.entry.x, x.copy(), tau, segments)
-    edges = [guard.edge for guard in driver.entry.field.guards]
-    driver.go_on_through(dict(zip(edges, signs.tolist(), strict=False)), x)
+    driver.go_on_through(signs, x)
     now = driver.record.now
     machine.floats[T], machine.floats[LOW], machine.floats[TAU] = now.t, now.low, 0.0
     machine.now.x[:], machine.now.end[:], machine.now.seen[:] = x, x, driver.seen

@@ -565,6 +565,22 @@ def test_a_release_is_a_jump_of_the_record(way):
     assert kept.final.y == pytest.approx(0.5**3 / 6, abs=10 * tolerance(way))
 
 
+def test_a_release_where_a_window_ends_does_not_hang_on_a_last_digit(way):
+    """The load ends at ``1 + tau``, which is a breaking point, with either sign of its rounding.
+
+    Which one it has depends on the steps, and so on the end of the run and on the machine.
+    """
+    start = {"u": 0.0, "y": 0.0, "v": 0.0}
+    taus = [1.0, 0.5, 0.5, 1.0, 0.25, 0.5, 0.5]
+    ends = np.array([2.0709208943793405, 1.6222474986054214, 1.7339312584921331, 4.188130325281924])
+    ends = np.array([*ends, 1.541481091377864, 2.366829051933844, 3.318597195507168])
+    for result, tau in zip(
+        way.many(Pushed(), [start] * 7, (0.0, ends), {"tau": taus}, **TIGHT), taus, strict=True
+    ):
+        assert result.jumps >= 1
+        assert result.times[0] == pytest.approx(1.0 + tau, abs=tolerance(way))
+
+
 class Counted(hy.Automaton):
     """``y = t`` is counted where it is seen to pass 2."""
 
