@@ -701,9 +701,10 @@ class ArcFlow:
         no longer leads back. If these do not change, the obstacle may have begun to move away, or
         the surface have jumped: that ends the contact, and sliding, as well.
         """
-        if zero.tau >= self.now.until(self.until):
+        holds = guard.kind in ("release", "leave")
+        if zero.tau >= self.now.until(self.until) and not (holds and self.until < self.plan.t1):
             return False
-        if guard.kind not in ("release", "leave"):
+        if not holds:
             return fires(guard.crossing, zero.direction)
         before = _before(cut, segment)
         x = segment(before)

@@ -34,7 +34,7 @@ from .accumulations import settled
 from .arc import ArcFlow, Flown
 from .cycles import Cycles
 from .entry import STARTS_OFF, Entry, Jumped, Place, describe, enter, extent, signs_at_end
-from .knots import fires_at, let_go, pass_knot, taken
+from .knots import fires_at, let_go, pass_knot, taken, turned
 from .losses import Losses
 from .machine import Machine
 from .pace import Pace
@@ -522,8 +522,10 @@ class Driver:
         memory.passed(t, x, field, fired.edge if fired else None)
         known = self.vanishing
         if field.leans:  # what is seen of the past, or its rate, may have jumped
+            before = self.field
             self.look(x)
-            if memory.loose and let_go(self, t, x, STRAYS * self.losses.share, memory.loose):
+            loose = memory.loose | turned(before, self.field, t, x)
+            if loose and let_go(self, t, x, STRAYS * self.losses.share, loose):
                 return
         self.enter(field.mode, x, Jumped(known, field.held, passing=signs))
 

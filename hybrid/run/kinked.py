@@ -97,7 +97,7 @@ def is_held(kink: Kink, field: Field, t: float, x: StateVector, length: float) -
     here, then = abs(kink.value(t, x.tolist())), t + ASIDE * length
     for aside in ((x + moved).tolist(), (x - moved).tolist()):
         off, back = kink.value(then, aside), kink.value(then, list(field.project(then, aside)))
-        if not max(here, abs(back)) <= HELD_SHARE * abs(off):
+        if not max(here, abs(back)) < HELD_SHARE * abs(off):
             return False
     return True
 

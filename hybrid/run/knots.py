@@ -14,7 +14,7 @@ from ..errors import DomainError
 from ..lowering import Field, Guard, Scene
 from ..lowering.mode import RELEASE_SUFFIX
 from ..rules.arrays import InputArrays
-from ..rules.guards import GUARD_ROUNDING, NEAR
+from ..rules.guards import GUARD_ROUNDING, JUMPS_WITHIN, NEAR
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
 from .entry import Entry, Jumped, departed, extent, is_zero, just_left, opened, signs_at_end
@@ -97,6 +97,33 @@ def let_go(
     elif open_:
         driver.enter(field.mode, x, Jumped(held=tuple(c for c in field.held if c not in open_)))
     return gone is not None or bool(open_)
+
+
+def turned(before: Field, behind: Field, t: float, x: StateVector) -> frozenset[str]:
+    """What holds the state and changes its formula where windows of the past end, to the rounding
+    of the time: no arc, up to there or from there, needs to show it.
+
+    ``before``, ``behind``: the field with the windows that end and with those that begin.
+    """
+    late = JUMPS_WITHIN * float(np.spacing(abs(t)))
+    old, new = _deciders(before, t, x, -late), _deciders(behind, t, x, late)
+    signs = ((name, np.vstack((there, new[name]))) for name, there in old.items())
+    return frozenset(name for name, each in signs if (each != each[0]).any())
+
+
+def _deciders(field: Field, t: float, x: StateVector, tau: float) -> dict[str, np.ndarray]:
+    """Of what holds the state, the signs of the functions that decide on its formula: at a time,
+    and so long after it."""
+    there, found = (x + tau * field.flow(t, x)).tolist(), {}
+    for guard in field.guards:
+        name = guard.edge.rpartition(".")[0]
+        if guard.kind == "leave":
+            guard = field.scene.field(guard.to).guard(name)
+        elif guard.kind != "release":
+            continue
+        places = (t, x.tolist()), (t + tau, there)
+        found[name] = np.sign([[kink.value(*place) for kink in guard.kinks] for place in places])
+    return found
 
 
 def _leave(driver: Driver, edge: str, to: str, x: StateVector) -> None:
