@@ -701,10 +701,9 @@ class ArcFlow:
         no longer leads back. If these do not change, the obstacle may have begun to move away, or
         the surface have jumped: that ends the contact, and sliding, as well.
         """
-        holds = guard.kind in ("release", "leave")
-        if zero.tau >= self.now.until(self.until) and not (holds and self.until < self.plan.t1):
+        if self.until == self.plan.t1 and zero.tau >= self.now.until(self.until):
             return False
-        if not holds:
+        if guard.kind not in ("release", "leave"):
             return fires(guard.crossing, zero.direction)
         before = _before(cut, segment)
         x = segment(before)
