@@ -278,10 +278,11 @@ def does(
         return OUTSIDE if outwards and crossing != 0 and bounds and not passing else ARMED
     if crossing == 0:
         return FIRES if before == -sign else ARMED
-    if kind in (EDGE, SWITCH) and before == sign:  # it has touched zero
-        return ARMED
+    touched = before == sign
     if not outwards:
-        return LEAVES if kind == SWITCH else ARMED
+        return LEAVES if kind == SWITCH and not touched else ARMED
+    if kind == EDGE and touched:
+        return ARMED
     if kind == EDGE and used:
         return BEYOND if bounds else ARMED
     return ARMED if spent and not bounds else FIRES
