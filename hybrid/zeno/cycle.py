@@ -235,7 +235,8 @@ def _limit(
     for closely in False, True:
         now, error, scale, rounding = accelerated(columns, clock, others, closely)
         sizes = np.maximum(scale, scale[0])
-        slack = max(rtol, 1e-13) * sizes + atol
+        lost = rtol * sizes + atol
+        slack = np.maximum(lost, 1e-13 * sizes + atol)
         slack += np.minimum(2.0 * rounding, LEFT_OPEN * sizes)
         if not np.all(np.delete(error <= slack, others)):
             return None
@@ -251,9 +252,12 @@ def _limit(
     noise = _moving(columns, blurred)
     known = CYCLE_ROUNDING * len(columns) * scale + PACE_NOISE * noise
     for k in np.setdiff1d(np.arange(len(now)), others):
-        strays = max(_strays(off[:, k], error[k] + known[:, k]), _strays(steps[:, k], known[1:, k]))
+        hides = lost[k] / ESTIMATE_CAUTION
+        strays, odd = _strays(off[:, k], error[k] + known[:, k], hides)
+        strays = max(strays, _strays(steps[:, k], known[1:, k], hides)[0])
         if strays:
             return first + strays
+        error[k] += ESTIMATE_CAUTION * odd
     if np.any((off[-1] > NEARER * off.max(axis=0) + error)[1:]):
         return None
     # a turn that is too short by its noise, at both ends, makes all that is left so, in proportion
@@ -291,22 +295,26 @@ def accelerated(
     return now, error, scale, noise
 
 
-def _strays(left: Numbers, known: Numbers) -> int:
+def _strays(left: Numbers, known: Numbers, hides: float) -> tuple[int, float]:
     """The place from which on numbers fall in another way than before, in the last turns; 0 if
     there is none: their ratios change ever less, or as in the turns just before. Where another law
     has begun, estimates may still be those of the old.
 
-    ``known``: how well the numbers are known; less than that tells nothing.
+    ``known``: how well the numbers are known; less than that tells nothing. ``hides``: what steps
+    may lose of them: their ratios may change so much by that alone. Returns the most of it, too.
     """
     left = left[: int(np.argmax(np.append(left <= known, True)))]
     known = known[: len(left)]
     changes, off = np.abs(np.diff(left[1:] / left[:-1])), known[2:] / left[1:-1]
     if len(changes) < FEW_TURNS:
-        return 0
+        return 0, 0.0
     late = max(1, len(changes) // 2, len(changes) - LEAST_CYCLES)
     before = [changes[max(0, k - PACE_TURNS) : k].max() for k in range(late, len(changes))]
-    strays = np.flatnonzero(changes[late:] > PACE_CHANGE * np.array(before) + off[late:])
-    return late + int(strays[-1]) + 3 if len(strays) else 0
+    odd = np.flatnonzero(changes[late:] > PACE_CHANGE * np.array(before) + off[late:])
+    lost = (changes * left[1:-1])[late + odd]
+    strays = odd[lost > hides]
+    place = late + int(strays[-1]) + 3 if len(strays) else 0
+    return place, float(np.max(lost[lost <= hides], initial=0.0))
 
 
 def _fast(durations: Numbers) -> int:
