@@ -411,7 +411,9 @@ class Cycles:
         """The limit at which the last jumps stand still, if they do: no time passes and the states
         come round. They have the rounding of the ``largest`` states seen.
 
-        Its ratio is that of the last turns that took time; 0 if these were not seen to shrink.
+        Its ratio is that of the last turns that took time; 0 if these were not seen to shrink. If
+        they were, rounding may have made them stand still before they did: the last of them may be
+        short of all that they come to.
         """
         shortest, t = self.period, float(self.seen.t[-1])
         for length in range(shortest, LONGEST_CYCLE + 1, shortest) if shortest else ():
@@ -425,10 +427,10 @@ class Cycles:
                     turn = attrs.evolve(turn, errors=[np.maximum(e, rounding) for e in turn.errors])
                     times = np.diff(self.seen.clock[closings])
                     times = times[times > _tick(length, t)]
-                    shrinks = len(times) > 1 and times[-1] < WINDOW_FALL * times[-2]
-                    ratio = (times[-1] / times[-2]) ** (shortest / length) if shrinks else 0.0
-                    last = float(ratio), self.still, turn.errors[-1], FEW_TURNS + 1
-                    return CycleLimit(self._cycle(shortest), 0.0, turn.limits[-1], *last), turn
+                    ratio, short = _shortened(times)
+                    last = ratio ** (shortest / length), self.still + short, turn.errors[-1]
+                    place = self._cycle(shortest), 0.0, turn.limits[-1]
+                    return CycleLimit(*place, *last, FEW_TURNS + 1), turn
         return None
 
     @property
@@ -501,6 +503,18 @@ def _shrinks(t: Numbers, low: Numbers, count: int) -> bool:
 
 def _between(t: Numbers, low: Numbers, first: int, last: int) -> float:
     return float((t[last] - t[first]) + (low[last] - low[first]))
+
+
+def _shortened(turns: Numbers) -> tuple[float, float]:
+    """The ratio of the durations of turns that shrink until they are rounded to nothing, and how
+    much more than they have taken they may come to; zeros where they were not seen to shrink. The
+    last of them may be cut short by that.
+    """
+    falls = turns[1:] / turns[:-1]
+    if not len(falls) or not falls[-1] < WINDOW_FALL:
+        return 0.0, 0.0
+    ratio = float(min(falls[-2:].max(), WINDOW_FALL))
+    return ratio, float(turns[-2]) * ratio / (1.0 - ratio)
 
 
 def _tick(count: int, t: float) -> float:
