@@ -368,15 +368,17 @@ def test_a_lift_whose_speed_jumps_throws_the_body_off(way, turned):
 
 
 class LateLift(hy.Automaton):
-    """A lift that turns half a second after it has passed a height."""
+    """A lift that turns a while after it has passed a height."""
 
     x = hy.state()
     v = hy.state()
     y = hy.state()
+    late: float = hy.parameter(0.5)
+    height: float = hy.parameter(0.25)
 
     @hy.mode
     def ride(self, t, s, past):
-        return s.v, -G, jnp.where(past(0.5).y > 0.25, -0.5, 0.5)
+        return s.v, -G, jnp.where(past(self.late).y > self.height, -0.5, 0.5)
 
     land = hy.contact(ride, gap=lambda self, t, s: s.x - s.y, restitution=R)
 
@@ -391,6 +393,19 @@ def test_a_lift_that_sees_where_it_was_throws_the_body_off_each_time_it_turns_do
     expected = [AT_REST_AGAIN, struck][: len(result.zeno)]
     assert [limit.t for limit in result.zeno] == pytest.approx(expected, abs=CLOSE)
     assert result.final.x == pytest.approx(0.45, abs=CLOSE)
+
+
+def test_a_lift_that_turns_where_windows_end_throws_the_body_off_whatever_the_last_digits(way):
+    """It passes the height at ``late``, which is when the first window of the past ends, and turns
+    when the second does: rounding puts that before its end, behind it, or in neither window."""
+    for tau, y in (0.5, 3.3), (0.25, 0.1), (0.3, 3.3), (1 / 3, 3.3), (0.7, 0.1), (0.2288, 0.1):
+        start = {"x": y, "v": 0.5, "y": y}
+        model = LateLift(late=tau, height=y + 0.5 * tau)
+        begin = {"mode": "ride.rest(land)", "history": start}
+        result = way.run(model, start, (0.0, 2.0 * tau + 0.15), **begin)
+        high = y + tau + 0.5 * 0.15 - 0.5 * G * 0.15**2
+        assert result.status == "reached_end"
+        assert result.final.x == pytest.approx(high, abs=CLOSE)
 
 
 class Stepped(hy.Automaton):

@@ -581,6 +581,88 @@ def test_a_release_where_a_window_ends_does_not_hang_on_a_last_digit(way):
         assert result.times[0] == pytest.approx(1.0 + tau, abs=tolerance(way))
 
 
+class Sees(hy.Automaton):
+    """``y`` grows at 1/2; where it is seen above a height a load turns."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    tau: float = hy.parameter(0.2)
+    height: float = hy.parameter(0.1)
+
+    @hy.mode
+    def rides(self, t, s, past):
+        return s.v, jnp.where(past(self.tau).y > self.height, 3.0, -5.0), 0.5
+
+    land = hy.contact(rides, gap=lambda self, t, s: s.x, restitution=0.3)
+
+
+class SeesSurface(hy.Automaton):
+    """The same, with a surface that moves away by 0.3."""
+
+    x = hy.state()
+    y = hy.state()
+    tau: float = hy.parameter(0.2)
+    height: float = hy.parameter(0.1)
+
+    @hy.mode(initial=True)
+    def above(self, t, s):
+        return -1.0, 0.5
+
+    @hy.mode
+    def below(self, t, s):
+        return 1.0, 0.5
+
+    zero = hy.switching(
+        positive=above,
+        negative=below,
+        surface=lambda self, t, s, past: s.x - jnp.where(past(self.tau).y > self.height, 0.3, 0.0),
+    )
+
+
+class SeesEdge(hy.Automaton):
+    """The same, with an edge whose guard jumps."""
+
+    x = hy.state()
+    y = hy.state()
+    tau: float = hy.parameter(0.2)
+    height: float = hy.parameter(0.1)
+
+    @hy.mode(initial=True)
+    def above(self, t, s):
+        return 0.0, 0.5
+
+    @hy.mode
+    def below(self, t, s):
+        return 1.0, 0.5
+
+    @hy.edge(
+        above,
+        to=below,
+        guard=lambda self, t, s, past: jnp.where(past(self.tau).y > self.height, -1.0, 1.0),
+    )
+    def turns(self, t, s):
+        return s
+
+
+@pytest.mark.parametrize(
+    ("model", "mode", "x"),
+    [
+        (Sees, "rides.rest(land)", 0.015),
+        (SeesSurface, "slide(zero)", 0.1),
+        (SeesEdge, "above", 0.1),
+    ],
+)
+def test_what_turns_where_windows_end_is_seen_whatever_the_last_digits(way, model, mode, x):
+    """It turns at ``2 tau``, which is a breaking point; rounding puts that on either side of it."""
+    for tau, y in (0.5, 3.3), (0.25, 0.1), (0.3, 3.3), (1 / 3, 3.3), (0.7, 0.1), (0.2, 3.3):
+        start = dict.fromkeys(model.spec.names, 0.0) | {"y": y}
+        seen = model(tau=tau, height=y + 0.5 * tau)
+        result = way.run(seen, start, (0.0, 2.0 * tau + 0.1), mode=mode, history=start)
+        assert result.status == "reached_end"
+        assert result.final.x == pytest.approx(x, abs=10 * tolerance(way))
+
+
 class Counted(hy.Automaton):
     """``y = t`` is counted where it is seen to pass 2."""
 
