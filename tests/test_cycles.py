@@ -1260,3 +1260,99 @@ def test_bodies_that_fly_together_do_so_through_the_limit_of_a_cycle(solver):
         assert run.mode == "rest.rest(in_rest)"
         assert run.final.y == run.final.z
         assert run.final.y == pytest.approx(0.2 + w * t - 2.5 * t * t, abs=1e-12)
+
+
+class Softer(hy.Automaton):
+    """A twisting controller whose gain is another one within ``c`` of the origin."""
+
+    x = hy.state()
+    v = hy.state()
+    far: float = hy.parameter(2.0)
+    close: float = hy.parameter(2.0)
+    c: float = hy.parameter(1e-6)
+
+    def gain(self, s):
+        return jnp.where(jnp.abs(s.x) > self.c, self.far, self.close)
+
+    @hy.mode(initial=True)
+    def right_back(self, t, s):
+        return s.v, 1.0 - self.gain(s)
+
+    @hy.mode
+    def left_back(self, t, s):
+        return s.v, self.gain(s) + 1.0
+
+    @hy.mode
+    def left_forth(self, t, s):
+        return s.v, self.gain(s) - 1.0
+
+    @hy.mode
+    def right_forth(self, t, s):
+        return s.v, -self.gain(s) - 1.0
+
+    @hy.mode(limit_of=("crosses_left", "turns_left", "crosses_right", "turns_right"))
+    def rests(self, t, s):
+        return 0.0 * s.x, 0.0 * s.v
+
+    crosses_left = hy.switching(right_back, left_back, surface=lambda self, t, s: s.x)
+    crosses_right = hy.switching(right_forth, left_forth, surface=lambda self, t, s: s.x)
+    turns_left = hy.switching(left_forth, left_back, surface=lambda self, t, s: s.v)
+    turns_right = hy.switching(right_forth, right_back, surface=lambda self, t, s: s.v)
+
+
+def comes_to_rest(x, far, close, c):
+    """The time of :class:`Softer` from ``x`` at rest: half turn after half turn, by parabolas."""
+    t = 0.0
+    while x > 1e-40:
+        outer, inner = 2.0 * (far - 1.0) * max(x - c, 0.0), 2.0 * (close - 1.0) * min(x, c)
+        t += math.sqrt(outer) / (far - 1.0) + 2.0 * min(x, c) / (
+            math.sqrt(outer) + math.sqrt(outer + inner)
+        )
+        left = outer + inner - 2.0 * (close + 1.0) * c
+        if left <= 0.0:
+            x = (outer + inner) / (2.0 * (close + 1.0))
+            t += math.sqrt(outer + inner) / (close + 1.0)
+        else:
+            x = c + left / (2.0 * (far + 1.0))
+            t += 2.0 * c / (math.sqrt(outer + inner) + math.sqrt(left))
+            t += math.sqrt(left) / (far + 1.0)
+    return t
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize(
+    ("x", "far", "close", "c"),
+    [
+        (0.006513598165269565, 1.1742910374664386, 1.5316225271563915, 2.734981336922379e-12),
+        (0.01, 1.2, 1.5, 3e-13),
+        (0.05, 2.5, 1.8, 1e-11),
+    ],
+)
+def test_a_cycle_that_rounding_ends_may_have_come_further(x, far, close, c, solver):
+    """Another law begins so late that positions are rounded to zero before it is known: what is
+    left then is sixteen digits of ``x``, but eight of the time."""
+    exact = comes_to_rest(x, far, close, c)
+    point = limit_or_refusal(Softer(far=far, close=close, c=c), x, 2.0 * exact, solver=solver)
+    assert point is None or abs(point.t - exact) <= point.t_error
+
+
+def limit_or_refusal(model, x, t1, **options):
+    """The limit to which a controller comes from ``x``; None where the run says that it cannot go
+    on. It does not go on elsewhere."""
+    try:
+        run = hy.simulate(model, {"x": x, "v": 0.0}, (0.0, t1), **options)
+    except (hy.DomainError, hy.FlowError):
+        return None
+    (point,) = run.zeno
+    assert run.mode == "rests"
+    return point
+
+
+@pytest.mark.parametrize("method", ["BDF", "LSODA", "Radau"])
+@pytest.mark.parametrize("scale", [1e-2, 1.1e-3, 1e-3, 8e-4, 1e-4])
+def test_a_cycle_that_steps_lose_is_no_way_out(method, scale):
+    """Methods that lose much lead to the origin with no regular turns."""
+    half = math.sqrt(scale) * (math.sqrt(2.0) + math.sqrt(2.0) / 3.0)
+    point = limit_or_refusal(Twisting(), scale, 9.0, solver="scipy", method=method)
+    exact = half / (1.0 - math.sqrt(1 / 3))
+    assert point is None or abs(point.t - exact) <= point.t_error < 1e-6
