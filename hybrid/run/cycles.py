@@ -388,17 +388,20 @@ class Cycles:
         counts = last & (turns[-1] >= WINDOW_FALL * turns[-2])
         return np.setdiff1d(np.flatnonzero(counts), self.beside).tolist()  # type: ignore[no-any-return]
 
-    def limit(self, scene: Scene, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
+    def limit(
+        self, scene: Scene, rtol: float, atol: float, lost: tuple[float, float]
+    ) -> tuple[CycleLimit, Turn] | None:
         """The limit at which the last jumps accumulate, and the last turn; None if they do not.
 
         The states may come round after several turns of the edges: a reset may change a sign.
+        ``lost``: what steps may lose, relative and absolute.
         """
         shortest = self.period
         for length in range(shortest, LONGEST_CYCLE + 1, shortest) if shortest else ():
             closings = self._shrinking(length)
             times, states = self.seen.since(closings), self.seen.x[closings]
             blur = partial(blurs, scene, self.seen, closings, length)
-            ends = rtol, atol, self.beside, blur, self.seen.spans(closings)
+            ends = rtol, atol, self.beside, blur, self.seen.spans(closings), lost
             found = limit(self._cycle(shortest), times, states, *ends)
             turn = None if found is None else self._turn(length, found)
             if found is not None and turn is not None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import DomainError, StartError
+from ..errors import DomainError, HybridError, StartError
 from ..lowering import Field, Guard
 from ..lowering.automaton import DIRECTIONS
 from ..rules import unit
@@ -33,7 +33,9 @@ def meet(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
     mode = onward(driver, guard, x)
     field = driver.scene.field(mode)
     if field.project is not None:
-        x = np.array(field.project(driver.t, x.tolist()))
+        where, x = driver.where(x), np.array(field.project(driver.t, x.tolist()))
+        if not np.isfinite(x).all():  # both flows go along the surface, to rounding
+            raise _unsettled(driver, where, guard.edge)
         driver.record.end_on(x)
     driver.interrupt(guard.edge, mode, x, x)
     if add_jump(driver, guard.edge, x, x) and pass_limit(driver, mode):
@@ -71,8 +73,7 @@ def onward(driver: Driver, guard: Guard, x: StateVector) -> str:
         nothing decides what follows.
     """
     scene, mode, name = driver.scene, driver.entry.field.mode, guard.edge
-    at, where = driver.t, driver.where(x)
-    kind = StartError if at == driver.plan.t0 else DomainError
+    at, where, kind = driver.t, driver.where(x), _kind(driver)
     switching = scene.spec.switching(name)
     if scene.spec.sliding(mode) is not None:
         raise kind(
@@ -86,13 +87,21 @@ def onward(driver: Driver, guard: Guard, x: StateVector) -> str:
     if follows == CROSSES:
         return guard.to
     if follows == UNSETTLED:
-        raise kind(
-            f"{where}: on the surface of {name} neither flow leads away, and no first derivative "
-            "decides whether the state slides; start beside the surface"
-        ).by("undecided")
+        raise _unsettled(driver, where, name)
     if not switching.slides:
         raise kind(
             f"{where}: on the surface of {name} both flows lead to it and slides=False; declare "
             "slides=True, or two edges with a hysteresis between them"
         ).by("undecided")
     return switching.mode
+
+
+def _kind(driver: Driver) -> type[StartError | DomainError]:
+    return StartError if driver.t == driver.plan.t0 else DomainError
+
+
+def _unsettled(driver: Driver, where: str, name: str) -> HybridError:
+    return _kind(driver)(
+        f"{where}: on the surface of {name} neither flow leads away, and no first derivative "
+        "decides whether the state slides; start beside the surface"
+    ).by("undecided")

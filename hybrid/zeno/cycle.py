@@ -173,6 +173,7 @@ def limit(
     beside: Sequence[int] = (),
     blur: Callable[[], Numbers] = lambda: np.zeros(1),
     spans: Numbers | None = None,
+    lost: tuple[float, float] = (0.0, 0.0),
 ) -> CycleLimit | None:
     """The limit of a cycle; None if it does not accumulate, or not yet clearly enough.
 
@@ -190,6 +191,8 @@ def limit(
         Gives how far each of the times may be off, beside its own rounding.
     spans : array, shape (cycles,), optional
         The durations of the turns, if they are known better than by the times.
+    lost : tuple of float
+        What the steps between jumps may lose, relative and absolute.
     """
     durations = np.diff(times)
     if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
@@ -199,7 +202,7 @@ def limit(
     while isinstance(found, int):
         times, states = times[found:], states[found:]
         spans = None if spans is None else spans[found:]
-        found = _limit(edges, times, states, elapsed, rtol, atol, beside, blur, spans)
+        found = _limit(edges, times, states, elapsed, rtol, atol, beside, blur, spans, lost)
     return found
 
 
@@ -213,6 +216,7 @@ def _limit(
     beside: Sequence[int],
     blur: Callable[[], Numbers],
     spans: Numbers | None,
+    lost: tuple[float, float],
 ) -> CycleLimit | int | None:
     """As :func:`limit`, by one law; where another has begun at some turn, the place of that turn.
     ``elapsed``: the time since the first of all turns."""
@@ -235,8 +239,7 @@ def _limit(
     for closely in False, True:
         now, error, scale, rounding = accelerated(columns, clock, others, closely)
         sizes = np.maximum(scale, scale[0])
-        lost = rtol * sizes + atol
-        slack = np.maximum(lost, 1e-13 * sizes + atol)
+        slack = max(rtol, 1e-13) * sizes + atol
         slack += np.minimum(2.0 * rounding, LEFT_OPEN * sizes)
         if not np.all(np.delete(error <= slack, others)):
             return None
@@ -251,10 +254,10 @@ def _limit(
         error = np.maximum(error, accelerated(columns, clock, others)[1])
     noise = _moving(columns, blurred)
     known = CYCLE_ROUNDING * len(columns) * scale + PACE_NOISE * noise
+    hides = (lost[0] * sizes + lost[1]) / ESTIMATE_CAUTION
     for k in np.setdiff1d(np.arange(len(now)), others):
-        hides = lost[k] / ESTIMATE_CAUTION
-        strays, odd = _strays(off[:, k], error[k] + known[:, k], hides)
-        strays = max(strays, _strays(steps[:, k], known[1:, k], hides)[0])
+        strays, odd = _strays(off[:, k], error[k] + known[:, k], hides[k])
+        strays = max(strays, _strays(steps[:, k], known[1:, k], hides[k])[0])
         if strays:
             return first + strays
         error[k] += ESTIMATE_CAUTION * odd
