@@ -365,6 +365,18 @@ def test_a_velocity_is_one_for_all_parameters_and_states():
 
         hit = hy.contact(f, gap=lambda self, t, s: s.x, restitution=0.5)
 
-    for model, name in (Momentum(m=2.0), "p"), (Momentum(), "p"), (Slowed(), "v"):
+    class Geared(Slowed):
+        @hy.mode
+        def f(self, t, s):
+            return jnp.where(self.at > 5.0, 0.5, 1.0) * s.v, -9.8
+
+    models = (
+        (Momentum(m=2.0), "p"),
+        (Momentum(), "p"),
+        (Slowed(), "v"),
+        (Slowed(at=7e3), "v"),
+        (Geared(), "v"),
+    )
+    for model, name in models:
         with pytest.raises(hy.DeclarationError, match="is not a velocity"):
             hy.simulate(model, {"x": 1.0, name: 0.0}, (0.0, 1.0))

@@ -487,24 +487,28 @@ class Lowered:
 
     def _unit(self, mode: str) -> Callable[[int, int], bool]:
         """A test whether a component of the flow has slope one in an element: at random points, of
-        the parameters, too, beginning with their defaults. Where it has no value nothing is told.
+        the parameters, too, beginning with their defaults, and on either side of each function at
+        whose zeros the slope changes its formula. Where it has no value nothing is told.
         """
         flow, own, defaults = self.flow(mode), sum(map(prod, self._own_shapes)), self.defaults()
         draw, places = random.Random(0), []
         for k in range(VELOCITY_SAMPLES):
             moved = [p + draw.uniform(0.1, 0.3) * (abs(p) or 1.0) for p in defaults[:own]]
-            rhs = flow.bind([*moved, *defaults[own:]] if k else defaults)
+            numbers = [*moved, *defaults[own:]] if k else defaults
             reach = (0.5, 1.5) if k == 0 else (-3.0, 3.0)
             x = [draw.uniform(*reach) for _ in range(self.spec.dimension)]
-            places.append((rhs, draw.uniform(0.0, 3.0), x))
+            places.append((numbers, draw.uniform(0.0, 3.0), x))
 
         def unit(i: int, j: int) -> bool:
-            for k, (rhs, t, x) in enumerate(places):
+            for k, (numbers, t, x) in enumerate(places):
+                rhs = flow.bind(numbers)
                 one, other = (rhs(t, [*x[:j], v, *x[j + 1 :]])[i] for v in (x[j], x[j] + 1.0))
                 off = abs(other - one - 1.0) / max(1.0, abs(one))
                 if not (off < VELOCITY_ROUNDING or (k and not isfinite(off))):
                     return False
-            return True
+            sides = self.mode(mode).slopes(i, j)
+            found = (s for numbers, t, x in places for s in (sides(numbers, t, x) if sides else ()))
+            return not any(abs(slope - 1.0) >= VELOCITY_ROUNDING for slope in found)
 
         return unit
 

@@ -25,7 +25,7 @@ from .graph import Graph, rebuilt
 from .jaxpr import read
 from .python import Program
 from .recorder import tape
-from .sides import on_zero
+from .sides import choosers, on_zero, one_sided
 from .tape import Tape
 
 if TYPE_CHECKING:
@@ -115,6 +115,24 @@ class ModeGraph:
         """The Lie derivative of a node along a flow."""
         one = self.graph.const(1.0)
         return along(self.graph, node, {self.t: one, **dict(zip(self.x, flow, strict=True))})
+
+    def slopes(self, i: int, j: int) -> Callable[..., Sequence[float]] | None:
+        """The slope of a component of the free flow in an element, on either side of each function
+        at whose zeros it changes its formula, by numbers, time and state; None if there is none."""
+        graph = self.graph
+        slope = along(graph, self.free[i], {self.x[j]: graph.const(1.0)})
+        nodes = [
+            one_sided(graph, [slope], {decider: sign})[0]
+            for decider in choosers(graph, [slope], flows=False)
+            for sign in (1, -1)
+        ]
+        if not nodes:
+            return None
+        program, blank = (
+            Program(graph, ["t", "x"], len(self.x), np.array(nodes)),
+            [0.0] * len(self.mask),
+        )
+        return lambda numbers, t, x: program.bind([*numbers, *blank])(t, x)
 
     # -- contacts -------------------------------------------------------------------------
 

@@ -42,11 +42,12 @@ _SEVERITY = ("ends", "jumps", "bends")
 RATIO_SAMPLES = 20
 
 
-def choosers(graph: Graph, roots: Sequence[int]) -> list[int]:
-    """Functions whose sign selects the formula of a node, arguments first."""
+def choosers(graph: Graph, roots: Sequence[int], flows: bool = True) -> list[int]:
+    """Functions whose sign selects the formula of a node, arguments first. ``flows``: only those
+    that change along a flow, not those of parameters alone."""
     nodes = [graph.nodes[number] for number in needed(graph, roots)]
     found = [decider_of(graph, op, rest) for op, *rest in nodes if op in CHOICES]
-    return list(dict.fromkeys(number for number in found if graph.flows(number)))
+    return list(dict.fromkeys(n for n in found if not flows or graph.flows(n)))
 
 
 def one_sided(graph: Graph, roots: Sequence[int], signs: Mapping[int, int]) -> list[int]:
