@@ -361,8 +361,8 @@ def _sought(driver: Driver) -> tuple[CycleLimit, Turn] | None:
         return cycles.reached(rtol, atol, driver.seen)
     own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
     lost = (0.0, 0.0) if driver.losses.exact else (plan.rtol, plan.limit)
-    for *known, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, DROWNING)]:
-        sought = cycles.limit(driver.scene, *known, lost)
+    for wanted, least, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, DROWNING)]:
+        sought = cycles.limit(driver.scene, wanted, least, lost)
         if sought is not None and sought[0].remaining <= left * cycles.longest:
             return sought
     return None
