@@ -254,10 +254,10 @@ def _limit(
         error = np.maximum(error, accelerated(columns, clock, others)[1])
     noise = _moving(columns, blurred)
     known = CYCLE_ROUNDING * len(columns) * scale + PACE_NOISE * noise
-    hides = (lost[0] * sizes + lost[1]) / ESTIMATE_CAUTION
     for k in np.setdiff1d(np.arange(len(now)), others):
-        strays, odd = _strays(off[:, k], error[k] + known[:, k], hides[k])
-        strays = max(strays, _strays(steps[:, k], known[1:, k], hides[k])[0])
+        hides = float(lost[0] * sizes[k] + lost[1]) / ESTIMATE_CAUTION
+        strays, odd = _strays(off[:, k], error[k] + known[:, k], hides)
+        strays = max(strays, _strays(steps[:, k], known[1:, k], hides)[0])
         if strays:
             return first + strays
         error[k] += ESTIMATE_CAUTION * odd
