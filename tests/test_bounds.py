@@ -3,7 +3,6 @@
 from functools import cache
 
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 import hybrid as hy
@@ -64,21 +63,19 @@ def test_the_bound_counts_the_rounding_of_a_gap_under_a_weak_load(solver, a, w, 
     assert abs(point.t - exact) <= point.t_error <= 3e-6 * (point.t - run.zeno[period - 1].t)
 
 
-@pytest.mark.parametrize("last_digits", [-6, -1, 0, 3])
-@pytest.mark.parametrize(("solver", "bound"), [("scipy", 1e-4), ("taylor", 1e-5)])
-def test_a_series_whose_speed_comes_to_rounding_is_listed(solver, bound, last_digits):
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+def test_a_series_whose_speed_comes_to_rounding_is_listed(solver):
     """The load is so weak that no sum is to be had before: the impacts end where rounding of the
-    gap speed hides what is left, and the bound says how much that may be. Where that is, is a
-    matter of what steps lose: with SciPy's the bound is 5e-6 to 8e-5 as the start moves by some
-    last digits, and the limit is off by up to 2.5e-5."""
+    gap speed hides what is left, and the bound says how much that may be."""
     w, r, start = 1.0929234484582584, 0.07246158599853514, 2.1795833624497476
     a = 1.0000104917939567 * 9.8 / w**2
-    begin = {"x": start + last_digits * np.spacing(start), "v": a * w}
-    run = hy.simulate(Bead(a=a, w=w, r=r), begin, (0.0, 14.0), solver=solver, rtol=1e-10)
+    run = hy.simulate(
+        Bead(a=a, w=w, r=r), {"x": start, "v": a * w}, (0.0, 14.0), solver=solver, rtol=1e-10
+    )
     rests = [arc.t0 for arc in run.arcs if arc.held]
     assert [point.t for point in run.zeno] == rests
     assert len(rests) == 4
-    assert abs(rests[0] - 1.4328619522) <= run.zeno[0].t_error < bound
+    assert abs(rests[0] - 1.4328619522) <= run.zeno[0].t_error < 1e-5
 
 
 class Sinking(hy.Automaton):

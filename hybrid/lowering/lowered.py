@@ -497,17 +497,16 @@ class Lowered:
             numbers = [*moved, *defaults[own:]] if k else defaults
             reach = (0.5, 1.5) if k == 0 else (-3.0, 3.0)
             x = [draw.uniform(*reach) for _ in range(self.spec.dimension)]
-            places.append((numbers, draw.uniform(0.0, 3.0), x))
+            places.append((numbers, flow.bind(numbers), draw.uniform(0.0, 3.0), x))
 
         def unit(i: int, j: int) -> bool:
-            for k, (numbers, t, x) in enumerate(places):
-                rhs = flow.bind(numbers)
+            for k, (_, rhs, t, x) in enumerate(places):
                 one, other = (rhs(t, [*x[:j], v, *x[j + 1 :]])[i] for v in (x[j], x[j] + 1.0))
                 off = abs(other - one - 1.0) / max(1.0, abs(one))
                 if not (off < VELOCITY_ROUNDING or (k and not isfinite(off))):
                     return False
             sides = self.mode(mode).slopes(i, j)
-            found = (s for numbers, t, x in places for s in (sides(numbers, t, x) if sides else ()))
+            found = (slope for numbers, _, t, x in places for slope in sides(numbers, t, x))
             return not any(abs(slope - 1.0) >= VELOCITY_ROUNDING for slope in found)
 
         return unit

@@ -116,10 +116,10 @@ class ModeGraph:
         one = self.graph.const(1.0)
         return along(self.graph, node, {self.t: one, **dict(zip(self.x, flow, strict=True))})
 
-    def slopes(self, i: int, j: int) -> Callable[..., Sequence[float]] | None:
+    def slopes(self, i: int, j: int) -> Callable[..., Sequence[float]]:
         """The slope of a component of the free flow in an element, on either side of each function
-        at whose zeros it changes its formula, by numbers, time and state; None if there is none."""
-        graph = self.graph
+        at whose zeros it changes its formula: a function of numbers, time and state."""
+        graph, blank = self.graph, [0.0] * len(self.mask)
         slope = along(graph, self.free[i], {self.x[j]: graph.const(1.0)})
         nodes = [
             one_sided(graph, [slope], {decider: sign})[0]
@@ -127,11 +127,8 @@ class ModeGraph:
             for sign in (1, -1)
         ]
         if not nodes:
-            return None
-        program, blank = (
-            Program(graph, ["t", "x"], len(self.x), np.array(nodes)),
-            [0.0] * len(self.mask),
-        )
+            return lambda numbers, t, x: ()
+        program = Program(graph, ["t", "x"], len(self.x), np.array(nodes))
         return lambda numbers, t, x: program.bind([*numbers, *blank])(t, x)
 
     # -- contacts -------------------------------------------------------------------------

@@ -256,10 +256,13 @@ def _limit(
     known = CYCLE_ROUNDING * len(columns) * scale + PACE_NOISE * noise
     for k in np.setdiff1d(np.arange(len(now)), others):
         hides = float(lost[0] * sizes[k] + lost[1]) / ESTIMATE_CAUTION
-        strays, odd = _strays(off[:, k], error[k] + known[:, k], hides)
-        strays = max(strays, _strays(steps[:, k], known[1:, k], hides)[0])
+        pace = [
+            _strays(off[:, k], error[k] + known[:, k], hides),
+            _strays(steps[:, k], known[1:, k], hides),
+        ]
+        strays, odd = map(max, zip(*pace, strict=True))
         if strays:
-            return first + strays
+            return first + int(strays)
         error[k] += ESTIMATE_CAUTION * odd
     if np.any((off[-1] > NEARER * off.max(axis=0) + error)[1:]):
         return None
