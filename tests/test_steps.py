@@ -16,6 +16,7 @@ from hybrid.rules.flights import TOO_LONG, most_pieces
 from hybrid.rules.kinks import NO_SERIES, NOT_FINITE
 from hybrid.rules.load import Library
 from hybrid.rules.steps import NO_STEP
+from hybrid.rules.terms import TERMS_BESIDE
 from hybrid.solvers import taylor_backend
 from hybrid.solvers.taylor_backend import TaylorSolver, TaylorStepper
 from hybrid.zeno import flight
@@ -175,7 +176,7 @@ def test_a_program_steps_alike_among_others(unit):
     both = linked([first.jets, second.jets])
     rows = max(part.jets.tape.rows for part in (first, second))
     work = np.empty(max(part.jets.tape.room for part in (first, second)))
-    c, aside = np.empty((rows, ORDER + 1)), np.empty((rows, 2))
+    c, aside = np.empty((rows, ORDER + 1)), np.empty((rows, TERMS_BESIDE + 1))
     sides, there = np.zeros(9, dtype=np.int64), np.empty(2)
     _, _, _, *room, _, _, _ = second.jets.room(ORDER)
     made = unit("steps").step(

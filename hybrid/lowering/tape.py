@@ -20,6 +20,7 @@ import numpy as np
 from ..rules import operations as rule
 from ..rules import unit
 from ..rules.arrays import Programs, Room
+from ..rules.terms import TERMS_BESIDE
 from ..rules.zeros import SPARE_ROWS
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def room(needs: Iterable[int], states: int, order: int) -> Room:
     rows, kinks, beside = needs
     return Room(
         np.empty((rows, order + 1)),
-        np.empty((rows, 3)),
+        np.empty((rows, TERMS_BESIDE + 1)),
         np.empty(beside),
         np.empty((order + SPARE_ROWS, order + 5)),
         np.empty((2 * order + 4, 2)),

@@ -1,8 +1,8 @@
 """The series of a step compared with the flow, at two points of the way.
 
 The last terms of a series say nothing about a force that is flat to rounding before it changes; the
-flow itself does. It is evaluated on the polynomials, and at a point beside them, which shows its
-rounding.
+flow itself does. It is evaluated on the polynomials. Its rounding is shown by a point beside them
+and by its terms.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from .kinks import (
 )
 from .lengths import behind
 from .polynomials import power_size, power_value, two_values
+from .terms import TERMS_BESIDE, add_up, rounding_of
 from .zeros import EPS
 
 __all__ = ("arrives", "bends", "decided", "follows")
@@ -40,7 +41,7 @@ SHIFT = -10
 #: An element of the state counts as no smaller than this share of the largest.
 SMALLEST = 1e-3
 
-#: Safety factor for the rounding measured beside a point.
+#: Safety factor for the rounding shown beside a point and by terms.
 ROUNDING_BESIDE = 8.0
 
 #: Denormal numbers lose digits; their error is less than this.
@@ -70,7 +71,7 @@ def follows(
     crossed : int
         The kink at which the step ends; -1 if it ends at none.
     aside
-        As many rows as ``c``, and two columns.
+        As many rows as ``c``, and four columns.
     work
         As in :func:`look`; before that are kept a point inside, and the rates of the polynomials
         there and at the end. A step that is accepted leaves its end there.
@@ -124,6 +125,7 @@ def _held(
     _set_apart(p, program, aside)
     if _agrees(p, program, s, h, scale, fastest, rates, c, aside):
         return True
+    add_up(p, program, 0, aside)
     look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
     along(c, s, point)
     return _agrees(p, program, s, h, scale, fastest, rates, c, aside)
@@ -174,7 +176,7 @@ def bends(
     The height of a low flight does not show it, being less than the rounding of the state; nor do
     the sides of kinks that are zero where the gap is (``|x|``). So the sides of the step are used
     and, where it ends at a kink or an impact, a point just before its end. That is the ``last`` of
-    the two that are looked at. ``aside`` has three columns.
+    the two that are looked at. ``aside`` has four columns.
     """
     first = place(p, program, work)
     point = work[first : first + states(p, program)]
@@ -182,11 +184,14 @@ def bends(
         along(c, s, point)
         look(p, program, 2, t + s, point, True, sides, aside, work)
         here = 2.0 * aside[row, 2]
-        look(p, program, 2, beside(t + s, point), point, True, sides, aside, work)
         bend, size = second(c[row], s)
-        allowed = MISSED * EPS * size + ROUNDING_BESIDE * abs(here - 2.0 * aside[row, 2])
-        if abs(here - bend) > allowed:
-            return False
+        off, allowed = abs(here - bend), MISSED * EPS * size
+        if off > allowed:
+            add_up(p, program, 2, aside)
+            look(p, program, 2, beside(t + s, point), point, True, sides, aside, work)
+            shown = abs(here - 2.0 * aside[row, 2]) + 2.0 * rounding_of(aside, row)
+            if off > allowed + ROUNDING_BESIDE * shown:
+                return False
     return True
 
 
@@ -286,11 +291,12 @@ def look(
 
 
 def _set_apart(p: Programs, program: int, aside: Matrix) -> None:
-    """Copy the flow and the watched functions to the second column, as the first is overwritten."""
+    """Copy the flow and the watched functions to the second column, as the first is overwritten;
+    nothing is known yet of the flow's terms."""
     for j in range(p.index[program, FLOW], p.index[program, FLOW + 1]):
         row = p.flow[j]
         if row >= 0:
-            aside[row, 1] = aside[row, 0]
+            aside[row, 1], aside[row, TERMS_BESIDE] = aside[row, 0], 0.0
     for j in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
         row = p.kinks[j, WHOLE_ROW]
         aside[row, 1] = aside[row, 0]
@@ -313,7 +319,7 @@ def _agrees(
     c: Matrix,
     aside: Matrix,
 ) -> bool:
-    """Whether both hold; the rounding beside the point is 0 until that point is evaluated."""
+    """Whether both hold; the rounding that is shown is 0 until the point beside is evaluated."""
     if not _directs(p, program, s, h, scale, fastest, rates, c, aside):
         return False
     return _decides(p, program, s, c, aside)
@@ -342,8 +348,9 @@ def _directs(
         rounding = fastest + abs(2.0 * c[i, 2] * s) + abs(3.0 * c[i, 3] * s * s)
         rounding += max(abs(c[i, 0]), scale) / h
         left = (c.shape[1] - 1) * behind(c[i], s) / s  # of the slope, as of its last terms
-        allowed = max(MISSED * EPS * rounding, left) + ROUNDING_BESIDE * abs(rate - other)
-        allowed += DENORMAL_LOSS
+        row = p.flow[p.index[program, FLOW] + i]
+        shown = abs(rate - other) + (rounding_of(aside, row) if row >= 0 else 0.0)
+        allowed = max(MISSED * EPS * rounding, left) + ROUNDING_BESIDE * shown + DENORMAL_LOSS
         close = close and not abs(rate - rates[i]) > allowed
     return close or not finite
 
