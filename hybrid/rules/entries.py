@@ -48,7 +48,7 @@ from .places import (
 from .ties import hidden_of, side_at
 from .zeros import EPS
 
-__all__ = ("alike", "at_rest", "does", "far", "own_time", "set_off", "start", "starts")
+__all__ = ("alike", "at_rest", "does", "far", "own_time", "set_off", "start", "starts", "turns_to")
 
 #: Coefficients of a guard from this power on are compared with each other; for those below, the
 #: sums of absolute terms are known.
@@ -134,6 +134,8 @@ def start_of(
         if kind not in (CONTACT, RELEASE) and least == 0 and not moves:
             high = at_largest(a, now, room, guard, t, size)
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least, out)
+        if crossing == 0 and before == 0 and turns_to(c[0], order, sign, side):
+            order, sign = 0, side
         off = used and kind == EDGE and least == 0 and set_off(c[0], crossing, size, high)
         if off and order > 0:
             return order, HARD
@@ -161,6 +163,12 @@ def start_of(
     if what == FIRES and not known:
         return order, HARD
     return order, DROWNS if low and what == ARMED else what
+
+
+def turns_to(value: float, order: int, sign: int, side: int) -> bool:
+    """Whether a guard that has turned where rounding does not tell it from zero is, as far as it is
+    told, on the side on which it was: it comes to zero in its own time, and fires there."""
+    return order > 1 and sign == -side and value * side > 0.0
 
 
 def set_off(value: float, crossing: int, size: float, high: float) -> bool:

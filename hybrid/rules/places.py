@@ -140,8 +140,8 @@ BLUR = 1  # how much the remainder of its series may move that
 OFF = 2  # how far from zero it was at the start of the arc, where it vanishes
 MADE_OF = 3  # the sum of its absolute terms there; negative if it is not known
 REACHES = 4  # 1 if it fires at a kink
-VALUE, RATE = 5, 6  # of the guard, where the last step ended
-ZERO_COLUMNS = 7
+VALUE, RATE, HALF_BEND = 5, 6, 7  # of the guard, where the last step ended
+ZERO_COLUMNS = 8
 
 #: What comes next in an arc.
 BEGINS = 0  # its start

@@ -36,6 +36,7 @@ from .places import (
     FLIGHTS,
     GUARDS,
     GUARDS_END,
+    HALF_BEND,
     KIND,
     LOW,
     OFF,
@@ -119,17 +120,18 @@ def note_sides(a: AutomatonArrays, now: Now, room: Room, t: float) -> None:
     first, last = a.fields[field, GUARDS], a.fields[field, GUARDS_END]
     if last - first < 2:
         return
-    if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
+    if afresh(a.programs, program, 2, t, now.end, room.still, room.aside, room.work) < 0:
         return
     for g in range(first, last):
-        for k in range(2):
+        for k in range(3):
             now.zeros[g - first, VALUE + k] = room.aside[row_of(a, program, field, g), k]
     for g in range(first, last):
         value, rate = now.zeros[g - first, VALUE], now.zeros[g - first, RATE]
         if a.guards[g, KIND] in (EDGE, SWITCH) and abs(value) <= NEAR * reach:
             noise = hidden_at(a, now, room, g, t, rate)
             stays = now.orders[g - first] == 1 and abs(rate) * way <= 2.0 * noise
-            side = 1 if rate > 0.0 else -1  # it was zero when the arc began, and has left since
+            # it was zero when the arc began, and has left since: along a parabola
+            side = 1 if rate - way * now.zeros[g - first, HALF_BEND] > 0.0 else -1
             before = now.signs[g - first]
             if abs(value) <= noise:
                 off = moving(a, now, room, g, t, now.end, value, rate, before)

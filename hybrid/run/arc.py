@@ -331,7 +331,8 @@ class ArcFlow:
                     inside = -DIRECTIONS[guard.crossing] if guard.bounds else 0
                     waits = self._inside(index) if self.signs else 0
                     stays = self.entered[index] == 1 and abs(rate) * stepper.tau <= 2.0 * noise
-                    side = int(np.sign(rate)) if stays else side_before(rate, bend, noise)
+                    left = rate - 0.5 * bend * stepper.tau  # since it was zero, along a parabola
+                    side = int(np.sign(left)) if stays else side_before(rate, bend, noise)
                     found[guard.edge] = inside or (waits if moves_off(*about, waits) else side)
         return found
 

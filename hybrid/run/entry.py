@@ -637,7 +637,10 @@ class _Here:
             return 0, 1 if value > 0 else -1
         out = self.outwards(guard, index, jumped)
         waits = (-DIRECTIONS[guard.crossing] or jumped.before(guard.edge, 1)) if out else 0
-        return self.decide(guard, index, least, out, waits)
+        order, sign = self.decide(guard, index, least, out, waits)
+        side = 0 if guard.edge in jumped.tied else jumped.before(guard.edge, 1)
+        turns = guard.crossing is Crossing.EITHER and unit("entries").turns_to
+        return (0, side) if turns and turns(value, order, sign, side) else (order, sign)
 
     def shares(self, index: int, used: str | None) -> bool:
         """Whether a guard is that of the edge just used
