@@ -340,6 +340,11 @@ class Cycles:
         those before the last accumulation."""
         return frozenset(self.seen.edge[-LONGEST_CYCLE:].tolist()) or self.before
 
+    @property
+    def wait(self) -> int:
+        """How many more jumps there may be before it is looked for a limit again."""
+        return self.next - len(self.seen.t)
+
     def again(self) -> None:
         """Look for a limit again at the next jump."""
         self.asked, self.stands = True, False

@@ -16,11 +16,12 @@ from ..rules.guards import GUARD_ROUNDING
 from ..rules.lanes import STILL_JUMPS
 from ..rules.sights import BOX_MARGIN
 from ..rules.zeros import EPS
-from ..zeno.cycle import CycleLimit
+from ..zeno.cycle import LEFT_TO_LIMIT, CycleLimit
 from ..zeno.narrow import damps
 from ..zeno.others import excluded, hull
 from .accumulations import after_cycle, pass_cycle, shut
 from .cycles import ZERO, Cycles, Seen, Turn
+from .entry import zero_within
 from .instant import collapse
 
 if TYPE_CHECKING:
@@ -365,7 +366,29 @@ def _sought(driver: Driver) -> tuple[CycleLimit, Turn] | None:
         sought = cycles.limit(driver.scene, wanted, least, lost)
         if sought is not None and sought[0].remaining <= left * cycles.longest:
             return sought
-    return None
+    return cycles.limit(driver.scene, LEFT_TO_LIMIT, 0.0, lost) if _drowns(driver) else None
+
+
+def _drowns(driver: Driver) -> bool:
+    """Whether rounding will hide the side on which the guard of an edge is at a jump, before it is
+    looked for a limit again, if it falls on as in the last turn: of ``x - 3`` the rounding is that
+    of 3, however low the flights are."""
+    cycles, scene, length = driver.cycles, driver.scene, driver.cycles.period
+    if length == 0:
+        return False
+    jumps, turns = cycles.last(2 * length), 1.0 + cycles.wait / length
+    turn = jumps[length:]
+    edges = {jump.edge for jump in turn}
+    for before, jump, later in zip(jumps, turn, [*turn[1:], turn[0]], strict=False):
+        field = scene.field(later.mode)
+        for guard in field.guards:
+            if guard.edge in edges and guard.edge != jump.edge and guard.kind != "contact":
+                value = abs(guard.value(jump.t, jump.x.tolist()))
+                last = abs(guard.value(before.t, before.x.tolist()))
+                about = scene, guard, field, jump.t, jump.x, driver.seen
+                if value < last and value * (value / last) ** turns <= zero_within(*about):
+                    return True
+    return False
 
 
 def _named(turn: Turn) -> tuple[tuple[str, np.ndarray], ...]:

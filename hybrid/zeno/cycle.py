@@ -255,7 +255,8 @@ def _limit(
     noise = _moving(columns, blurred)
     known = CYCLE_ROUNDING * len(columns) * scale + PACE_NOISE * noise
     for k in np.setdiff1d(np.arange(len(now)), others):
-        hides = float(lost[0] * sizes[k] + lost[1]) / ESTIMATE_CAUTION
+        # a speed that is zero at these jumps has left there what rounding leaves
+        hides = float(max(lost[0], CYCLE_ROUNDING) * sizes[k] + lost[1]) / ESTIMATE_CAUTION
         pace = [
             _strays(off[:, k], error[k] + known[:, k], hides),
             _strays(steps[:, k], known[1:, k], hides),
