@@ -385,8 +385,9 @@ def _drowns(driver: Driver) -> bool:
             if guard.edge in edges and guard.edge != jump.edge and guard.kind != "contact":
                 value = abs(guard.value(jump.t, jump.x.tolist()))
                 last = abs(guard.value(before.t, before.x.tolist()))
-                about = scene, guard, field, jump.t, jump.x, driver.seen
-                if value < last and value * (value / last) ** turns <= zero_within(*about):
+                hides = zero_within(scene, guard, field, jump.t, jump.x, driver.seen)
+                falls = value < last and hides < last  # and is not zero at each of these jumps
+                if falls and value * (value / last) ** turns <= hides:
                     return True
     return False
 
