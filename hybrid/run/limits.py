@@ -21,7 +21,6 @@ from ..zeno.narrow import damps
 from ..zeno.others import excluded, hull
 from .accumulations import after_cycle, pass_cycle, shut
 from .cycles import ZERO, Cycles, Seen, Turn
-from .entry import zero_within
 from .instant import collapse
 
 if TYPE_CHECKING:
@@ -383,9 +382,11 @@ def _drowns(driver: Driver) -> bool:
         field = scene.field(later.mode)
         for guard in field.guards:
             if guard.edge in edges and guard.edge != jump.edge and guard.kind != "contact":
-                value = abs(guard.value(jump.t, jump.x.tolist()))
-                last = abs(guard.value(before.t, before.x.tolist()))
-                hides = zero_within(scene, guard, field, jump.t, jump.x, driver.seen)
+                t, x = jump.t, jump.x.tolist()
+                value, last = abs(guard.value(t, x)), abs(guard.value(before.t, before.x.tolist()))
+                # of its terms, less what they come to: that falls with it; twice, as of those seen
+                terms = scene.rounding(guard, field)(t, x)[0] - value
+                hides = 2.0 * GUARD_ROUNDING * EPS * terms
                 falls = value < last and hides < last  # and is not zero at each of these jumps
                 if falls and value * (value / last) ** turns <= hides:
                     return True
