@@ -120,11 +120,13 @@ def note_sides(a: AutomatonArrays, now: Now, room: Room, t: float) -> None:
     first, last = a.fields[field, GUARDS], a.fields[field, GUARDS_END]
     if last - first < 2:
         return
-    if afresh(a.programs, program, 2, t, now.end, room.still, room.aside, room.work) < 0:
+    bends = afresh(a.programs, program, 2, t, now.end, room.still, room.aside, room.work) >= 0
+    if not bends and afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work):
         return
     for g in range(first, last):
+        c = room.aside[row_of(a, program, field, g)]
         for k in range(3):
-            now.zeros[g - first, VALUE + k] = room.aside[row_of(a, program, field, g), k]
+            now.zeros[g - first, VALUE + k] = c[k] if bends or k < 2 else 0.0
     for g in range(first, last):
         value, rate = now.zeros[g - first, VALUE], now.zeros[g - first, RATE]
         if a.guards[g, KIND] in (EDGE, SWITCH) and abs(value) <= NEAR * reach:
