@@ -1359,7 +1359,7 @@ def test_a_cycle_that_steps_lose_is_no_way_out(method, scale):
 
 
 class SetPoint(Twisting):
-    """The same about ``x = c``."""
+    """The controller of :class:`Twisting` about ``x = c``."""
 
     c = hy.parameter(3.0)
     right_back, left_back = Twisting.right_back, Twisting.left_back
@@ -1369,7 +1369,7 @@ class SetPoint(Twisting):
 
 
 class Gains(hy.Automaton):
-    """The same by two gains that change their signs, with edges that have no side."""
+    """That controller by two gains that change their signs, with edges that have no side."""
 
     x = hy.state()
     v = hy.state()

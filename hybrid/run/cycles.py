@@ -251,7 +251,7 @@ class Cycles:
         kept, known = len(self.seen.t), self.seen.t[-STILL_JUMPS:]
         if self.next <= kept + len(t):
             self._wait(np.append(self.seen.t, t), np.append(self.seen.low, low))
-        count = min(len(t), self.next - kept)
+        count = min(len(t), self.wait)
         if len(known) + count <= FEW_TURNS:  # not one turn more than there must be
             return count
         together = np.append(known, t[:count])

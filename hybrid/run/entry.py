@@ -639,8 +639,9 @@ class _Here:
         waits = (-DIRECTIONS[guard.crossing] or jumped.before(guard.edge, 1)) if out else 0
         order, sign = self.decide(guard, index, least, out, waits)
         side = 0 if guard.edge in jumped.tied else jumped.before(guard.edge, 1)
-        turns = guard.crossing is Crossing.EITHER and unit("entries").turns_to
-        return (0, side) if turns and turns(value, order, sign, side) else (order, sign)
+        if guard.crossing is Crossing.EITHER and unit("entries").turns_to(value, order, sign, side):
+            return 0, side
+        return order, sign
 
     def shares(self, index: int, used: str | None) -> bool:
         """Whether a guard is that of the edge just used

@@ -381,15 +381,16 @@ def _drowns(driver: Driver) -> bool:
     for before, jump, later in zip(jumps, turn, [*turn[1:], turn[0]], strict=False):
         field = scene.field(later.mode)
         for guard in field.guards:
-            if guard.edge in edges and guard.edge != jump.edge and guard.kind != "contact":
-                t, x = jump.t, jump.x.tolist()
-                value, last = abs(guard.value(t, x)), abs(guard.value(before.t, before.x.tolist()))
-                # of its terms, less what they come to: that falls with it; twice, as of those seen
-                terms = scene.rounding(guard, field)(t, x)[0] - value
-                hides = 2.0 * GUARD_ROUNDING * EPS * terms
-                falls = value < last and hides < last  # and is not zero at each of these jumps
-                if falls and value * (value / last) ** turns <= hides:
-                    return True
+            if guard.edge not in edges or guard.edge == jump.edge or guard.kind == "contact":
+                continue
+            t, x = jump.t, jump.x.tolist()
+            value, last = abs(guard.value(t, x)), abs(guard.value(before.t, before.x.tolist()))
+            # of its terms, less what they come to: that falls with it; twice, as of those seen
+            terms = scene.rounding(guard, field)(t, x)[0] - value
+            hides = 2.0 * GUARD_ROUNDING * EPS * terms
+            falls = value < last and hides < last  # and is not zero at each of these jumps
+            if falls and value * (value / last) ** turns <= hides:
+                return True
     return False
 
 
