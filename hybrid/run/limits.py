@@ -3,7 +3,7 @@ it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -365,7 +365,18 @@ def _sought(driver: Driver) -> tuple[CycleLimit, Turn] | None:
         sought = cycles.limit(driver.scene, wanted, least, lost)
         if sought is not None and sought[0].remaining <= left * cycles.longest:
             return sought
-    return cycles.limit(driver.scene, LEFT_TO_LIMIT, 0.0, lost) if _drowns(driver) else None
+    sought = cycles.limit(driver.scene, LEFT_TO_LIMIT, 0.0, lost) if _drowns(driver) else None
+    return sought if sought is not None and _tells(sought[1], cycles.beside) else None
+
+
+def _tells(turn: Turn, beside: Sequence[int]) -> bool:
+    """Whether each state has a limit at each of the jumps, known better than the last turn has
+    changed it, to what counts as zero. Two cycles side by side look like one for a while, but what
+    the jumps of one find of the other has no limit."""
+    changed = np.ptp([seen.x for seen in turn.seen], axis=0)
+    zero = ZERO * np.abs([seen.x for seen in turn.first]).max(axis=0)
+    known = np.max(turn.errors, axis=0) <= changed + zero
+    return bool(np.delete(known, beside).all())
 
 
 def _drowns(driver: Driver) -> bool:
