@@ -183,3 +183,20 @@ def test_a_cycle_over_a_floor_off_zero_is_known_to_the_rounding_of_its_guards():
         for point, exact in both_limits(switched(hy.FALLING)(r=r, floor=1.0), x, later, "taylor"):
             assert abs(point.t - exact) <= point.t_error + 1e-15
             assert point.t_error < 4e-6  # flights as low as the rounding of 1 take 1e-7
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize(
+    ("r", "x", "floor", "later"),
+    [
+        (0.8822425386318329, 0.12424907024623252, 1.0, 5.7634173148486e-9),
+        (0.6238745625131576, 0.17080278277146188, 0.5, 8.4460356923358e-9),
+    ],
+)
+def test_an_edge_without_a_side_does_not_throw_back_what_still_rises(r, x, floor, later, solver):
+    """The ball strikes while the body rises within rounding of its floor: thrown back there, it
+    would fall through."""
+    model = switched(hy.EITHER)(r=r, floor=floor)
+    for point, exact in both_limits(model, x, later, solver):
+        assert abs(point.t - exact) <= point.t_error + 1e-15
+        assert point.t_error < 4e-6

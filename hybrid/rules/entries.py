@@ -48,7 +48,7 @@ from .places import (
 from .ties import hidden_of, side_at
 from .zeros import EPS
 
-__all__ = ("alike", "at_rest", "does", "far", "own_time", "set_off", "start", "starts", "turns_to")
+__all__ = ("alike", "at_rest", "does", "far", "own_time", "set_off", "start", "starts", "turned")
 
 #: Coefficients of a guard from this power on are compared with each other; for those below, the
 #: sums of absolute terms are known.
@@ -134,8 +134,8 @@ def start_of(
         if kind not in (CONTACT, RELEASE) and least == 0 and not moves:
             high = at_largest(a, now, room, guard, t, size)
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least, out)
-        if crossing == 0 and before == 0 and turns_to(c[0], order, sign, side):
-            order, sign = 0, side
+        if crossing == 0 and before == 0:
+            order, sign = turned(c[0], c[1], order, sign, side)
         off = used and kind == EDGE and least == 0 and set_off(c[0], crossing, size, high)
         if off and order > 0:
             return order, HARD
@@ -165,10 +165,14 @@ def start_of(
     return order, DROWNS if low and what == ARMED else what
 
 
-def turns_to(value: float, order: int, sign: int, side: int) -> bool:
-    """Whether a guard that has turned where rounding does not tell it from zero is, as far as it is
-    told, on the side on which it was: it comes to zero in its own time, and fires there."""
-    return order > 1 and sign == -side and value * side > 0.0
+def turned(value: float, slope: float, order: int, sign: int, side: int) -> tuple[int, int]:
+    """The power by which a guard vanishes, and its sign, where it has turned while rounding did not
+    tell it from zero: it comes to zero in its own time, and fires there, if it is still on the
+    ``side`` on which it was, or on its way there, whatever rounding makes of its value."""
+    turns = order > 1 and sign == -side
+    if turns and value * side > 0.0:
+        return 0, side
+    return (1, side) if turns and slope * side > 0.0 else (order, sign)
 
 
 def set_off(value: float, crossing: int, size: float, high: float) -> bool:

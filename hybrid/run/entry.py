@@ -639,8 +639,9 @@ class _Here:
         waits = (-DIRECTIONS[guard.crossing] or jumped.before(guard.edge, 1)) if out else 0
         order, sign = self.decide(guard, index, least, out, waits)
         side = 0 if guard.edge in jumped.tied else jumped.before(guard.edge, 1)
-        if guard.crossing is Crossing.EITHER and unit("entries").turns_to(value, order, sign, side):
-            return 0, side
+        if guard.crossing is Crossing.EITHER:
+            slope = guard.lie(t, x.tolist())[1]
+            order, sign = unit("entries").turned(value, slope, order, sign, side)
         return order, sign
 
     def shares(self, index: int, used: str | None) -> bool:
