@@ -96,7 +96,7 @@ from .sums import (
 )
 from .sums import TO_LIMIT as LIMITS
 from .tails import clear, count
-from .ties import FURTHEST_APART, keep_sides, late_by, note_sides
+from .ties import FURTHEST_APART, keep_sides, late_by, note_sides, side_at
 from .zeros import EPS
 
 __all__ = ("go",)
@@ -314,6 +314,9 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
         ``FULL`` or ``HOLD``, and it is still to be flown; ``LOOK`` if there is no room for it.
     """
     field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[JUMPS_MADE]
+    if begins_hidden(a, now):
+        now.ints[LOW_AHEAD] = 0
+        return GOES_ON
     flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
     t, v, held = now.floats[T], now.floats[GAP_SPEED], a.fields[field, CONSTRAINED] == 1
     before, behind = left.before[place], left.after[place]
@@ -378,6 +381,17 @@ def untouched(
         a.programs, flow, at, column, held, signs, rounding, curve, t, x,
         row[LAST_SPEED], row[RATIO], row[REMAINING], limit, sums,
     )  # fmt: skip
+
+
+def begins_hidden(a: AutomatonArrays, now: Now) -> bool:
+    """Whether rounding does not tell a guard from zero where a flight begins: what it does there is
+    for the rules of entering to say. Of all others it is known that they are not zero there."""
+    first, last = a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]
+    for g in range(first, last):
+        if side_at(now.touched[a.guards[g, OWN]], now.ints[FLIGHTS]) != 0:
+            return True
+        now.orders[g - first] = 0
+    return False
 
 
 def domain(a: AutomatonArrays, now: Now) -> int:
