@@ -200,3 +200,19 @@ def test_an_edge_without_a_side_does_not_throw_back_what_still_rises(r, x, floor
     for point, exact in both_limits(model, x, later, solver):
         assert abs(point.t - exact) <= point.t_error + 1e-15
         assert point.t_error < 4e-6
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize(
+    ("crossing", "r", "x", "later"),
+    [
+        (hy.FALLING, 0.6104502571058271, 0.5714156062678885, -3.9643790234733e-8),
+        (hy.EITHER, 0.728042607999152, 0.24656927986620558, -2.342567205940312e-7),
+    ],
+)
+def test_low_flights_carry_nothing_else_through_its_guard(crossing, r, x, later, solver):
+    """Those of the ball begin where the body is within rounding of its floor, and falls. What its
+    limit leaves open of the ball's height, 1e-20, puts off the next impact by 1e-13."""
+    (body, own), (ball, its) = both_limits(switched(crossing)(r=r, floor=3.0), x, later, solver)
+    assert abs(body.t - own) <= body.t_error < 1e-5
+    assert abs(ball.t - its) <= ball.t_error + 1e-12  # inf where they may come in another order
