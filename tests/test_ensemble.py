@@ -135,6 +135,7 @@ def test_a_failed_lane_is_a_row_with_its_reason():
         ({"start": {"x": 1.0}}, "no value for v"),
         ({"start": {"x": [[1.0]], "v": 0.0}}, r"x_start has shape \(1, 1\)"),
         ({"max_jumps": 0}, "max_jumps=0: a whole number, 1 or more"),
+        ({"t": (0.0, [3.0, 0.0])}, r"BouncingBall, lane 1: t=\(0.0, 0.0\): give the first time"),
     ],
 )
 def test_what_cannot_be_asked(given, message):

@@ -79,8 +79,10 @@ class Lanes:
         if self.spec.chances and not has_stream(start):
             self.x[:, self.spec.place(STREAM)] += np.arange(self.count)
         self.known = [self._full(*each) for each in before]
-        if not np.all(self.t[:, 1] > self.t[:, 0]):
-            raise OptionError(f"t={short(t)}: the first time before the last, in every lane")
+        late = np.flatnonzero(~(self.t[:, 1] > self.t[:, 0]))
+        if len(late):
+            where, own = f"{self.spec.model}, lane {late[0]}", tuple(self.t[late[0]].tolist())
+            raise OptionError(f"{where}: t={own}: give the first time before the last")
 
     def _counted(self) -> int:
         """The number of lanes; raises an :class:`OptionError` if arrays differ in length."""
