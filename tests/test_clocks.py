@@ -666,3 +666,43 @@ def test_the_times_of_a_clock_increase_in_every_lane():
     given["first"][1] = 1.2
     lanes = hy.ensemble(Counting(), {"x": 1.0}, (0.0, 4.0), given)
     assert lanes.n.values.tolist() == [102] * 3
+
+
+def decay(crossing):
+    """A decay to a little below zero, sampled by a clock on its way; an edge ends it at zero."""
+
+    class Decay(hy.Automaton):
+        x = hy.state()
+        n = hy.state()
+        below: float = hy.parameter(1e-15)
+
+        @hy.mode(initial=True)
+        def falls(self, t, s):
+            return -s.x - self.below, 0.0
+
+        @hy.mode
+        def ended(self, t, s):
+            return 0.0 * s.x, 0.0
+
+        @hy.edge(falls, every=0.25)
+        def sample(self, t, s):
+            return s.x, s.n + 1.0
+
+        @hy.edge(falls, to=ended, guard=lambda self, t, s: s.x, crossing=crossing)
+        def ends(self, t, s):
+            return s
+
+    return Decay
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("below", [1e-13, 1e-15])
+@pytest.mark.parametrize("crossing", [hy.FALLING, hy.EITHER])
+def test_a_ring_before_a_slow_zero_does_not_put_it_off(crossing, below, solver):
+    """When it rings the state is 1e-14 of what it has been, for seconds before it is zero."""
+    exact = np.log1p(1.0 / below)
+    given = {"solver": solver} | ({} if solver == "taylor" else {"rtol": 1e-10, "atol": 1e-20})
+    run = hy.simulate(decay(crossing)(below=below), {"x": 1.0, "n": 0.0}, (0, 50), **given)
+    assert run.mode == "ended"
+    assert run.final.n == exact // 0.25
+    assert abs(run.jumps.t[-1] - exact) < 1e-8  # 1e-10 a step, of some hundreds

@@ -44,7 +44,7 @@ from .places import (
     T,
 )
 from .record import slack
-from .ties import ago, hidden_of, near
+from .ties import ago, hidden_of, near, note_sides
 from .zeros import EPS
 
 
@@ -162,5 +162,7 @@ def ended(a: AutomatonArrays, run: Floats, now: Now, room: Room, length: float) 
         if ago(a, now, room, g, t) == 0.0 or near(a, run, now, room, g, t):
             return LOOK
     now.ints[FIRED] = now.ints[RINGS]
-    now.ints[FLIGHTS] += 1 if length > 0.0 else 0
+    if length > 0.0:
+        now.ints[FLIGHTS] += 1
+        note_sides(a, now, room, t, NONE)
     return LANDED

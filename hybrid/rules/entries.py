@@ -345,7 +345,8 @@ def start(
         return 0, 1 if value > 0.0 else -1
     back = c[2] if slope * out > 0.0 > c[2] * out else 0.0
     if abs(back) > GUARD_ROUNDING * EPS * bend and slope * slope <= 4.0 * abs(back) * noise:
-        return 2, -out
+        # on the side on which it waits, by more than its own terms round, it comes in its own time
+        return 0 if least == 0 and value * -out > GUARD_ROUNDING * EPS * size else 2, -out
     rate = fast if c[1] < 0.0 < c[2] and fast < math.inf else rate
     for k in range(max(least, 1), min(HIGHER, c.shape[0])):
         if abs(c[k]) > GUARD_ROUNDING * EPS * (rate if k == 1 else bend):

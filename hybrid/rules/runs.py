@@ -338,7 +338,7 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
     now.floats[TAU], now.floats[GAP_SPEED] = time, speed
     now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[PHASE] = 0, 1, STRIKES
     now.ints[FLIGHTS] += 1
-    note_sides(a, now, room, end)
+    note_sides(a, now, room, end, guard)
     for piece in range(pieces):
         taken(now, left, sums, piece, run[METHOD_ORDER] > 0.0)
     now.ints[STEPS_MADE] += pieces

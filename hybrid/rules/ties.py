@@ -39,6 +39,7 @@ from .places import (
     HALF_BEND,
     KIND,
     LOW,
+    NONE,
     OFF,
     OWN,
     RATE,
@@ -95,7 +96,7 @@ def together(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) ->
     field, event = now.ints[FIELD], now.ints[EVENT]
     first, fires = a.fields[field, GUARDS], event
     now.ints[FLIGHTS] += 1
-    note_sides(a, now, room, t)
+    note_sides(a, now, room, t, event)
     for g in range(first, a.fields[field, GUARDS_END]):
         if g == event:
             continue
@@ -112,13 +113,14 @@ def together(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) ->
     return fires
 
 
-def note_sides(a: AutomatonArrays, now: Now, room: Room, t: float) -> None:
+def note_sides(a: AutomatonArrays, now: Now, room: Room, t: float, fired: int) -> None:
     """Note the sign before of each guard that rounding does not tell from zero where a step ends:
-    whether it has passed zero is then seen by its sign behind the jump (3)."""
+    whether it has passed zero is then seen by its sign behind the jump (3). ``fired`` is the guard
+    that has ended it, ``NONE`` for a clock."""
     field, reach, way = now.ints[FIELD], so_far(now, now.end), (t - now.floats[T]) - now.floats[LOW]
     program = a.fields[field, FIELD_PROGRAM]
     first, last = a.fields[field, GUARDS], a.fields[field, GUARDS_END]
-    if last - first < 2:
+    if last - first < (1 if fired == NONE else 2):
         return
     bends = afresh(a.programs, program, 2, t, now.end, room.still, room.aside, room.work) >= 0
     if not bends and afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work):
