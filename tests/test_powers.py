@@ -6,7 +6,7 @@ import pytest
 
 import hybrid as hy
 
-from .contract.ways import SOLVERS
+from .contract.ways import SOLVERS, WAYS
 
 G = 9.81
 
@@ -194,3 +194,72 @@ def test_forces_with_roots_are_flown_over_to_rounding(name):
     run = hy.simulate(Driven(), [0.2, 0.0], (0, 9), solver="taylor")
     fine = hy.simulate(Driven(), [0.2, 0.0], (0, 9), rtol=1e-13, atol=1e-15)
     np.testing.assert_allclose(run.final, fine.final, rtol=1e-10, atol=1e-10)
+
+
+class Pressed(hy.Automaton):
+    """A force that is zero up to where the run begins, and a power of the depth beyond."""
+
+    x = hy.state()
+    z = hy.state()
+    power = hy.parameter(1.5)
+
+    @hy.mode
+    def moves(self, t, s):
+        return s.z - 1.15 * jnp.maximum(s.x, 0.0) ** self.power, -1.866
+
+
+#: When a body is back that sets out at ``z = 0.72``, by the power: with a root it is
+#: ``0.72 (1 + q) / 1.866``, where ``q`` is the share of ``z`` that is left, by the flow in the time
+#: ``s`` of ``dt = sqrt(x) ds``, in which it is linear; the other by a series in that time, with
+#: 25 digits.
+BACK = {0.5: 0.530743655848440556931, 1.5: 0.7388123861941236306553}
+
+
+@pytest.mark.parametrize("way", ["taylor", "DOP853", "ensemble"])
+@pytest.mark.parametrize("power", BACK)
+def test_a_power_that_sets_in_where_the_run_begins_acts(power, way):
+    """A step beyond the time at which the body would be back without the force, 0.772, saw nothing
+    of it. What is beyond zero is a parabola."""
+    for t in (0.8, 1.0, 1.9, 9.0, 100.0):
+        result = WAYS[way].run(Pressed(power=power), {"x": 0.0, "z": 0.72}, (0.0, t))
+        later = t - BACK[power]
+        exact = (0.72 - 1.866 * BACK[power]) * later - 0.933 * later**2
+        assert result.final.x == pytest.approx(exact, rel=1e-7 if way == "DOP853" else 1e-13)
+
+
+class SuperTwisting(hy.Automaton):
+    """``x' = -a sqrt|x| sign x + z``, ``z' = -b sign x`` (Levant 1993), each sign a mode."""
+
+    x = hy.state()
+    z = hy.state()
+    a = hy.parameter(1.5)
+    b = hy.parameter(1.1)
+
+    @hy.mode(initial=True)
+    def right(self, t, s):
+        return -self.a * jnp.sqrt(jnp.maximum(s.x, 0.0)) + s.z, -self.b
+
+    @hy.mode
+    def left(self, t, s):
+        return self.a * jnp.sqrt(jnp.maximum(-s.x, 0.0)) + s.z, self.b
+
+    @hy.mode(limit_of=("leaves", "returns"))
+    def origin(self, t, s):
+        return 0.0, 0.0
+
+    leaves = hy.edge(right, to=left, guard=lambda self, t, s: s.x)
+    returns = hy.edge(left, to=right, guard=lambda self, t, s: s.x, crossing=hy.RISING)
+
+
+@pytest.mark.parametrize("way", ["taylor", "ensemble"])
+def test_super_twisting_reaches_the_origin(way):
+    """In the time ``s`` of ``dt = 2 sqrt|x| ds`` the flow is linear: each turn leaves the same
+    share of ``z``. A turn's first step passed over the root where the turn before had led a
+    rounding beyond zero, and the turns went on and on."""
+    for a, b, z in np.random.default_rng(3).uniform([0.5, 1.0, 0.3], [1.5, 3.0, 1.0], (4, 3)):
+        share = np.exp(-a * np.pi / np.sqrt(8.0 * b - a * a))
+        limit = z / b * (1.0 + share) / (1.0 - share)
+        model, start = SuperTwisting(a=a, b=b), {"x": 0.0, "z": z}
+        result = WAYS[way].run(model, start, (0.0, 2.0 * limit))
+        assert result.t_inf == pytest.approx(limit, rel=1e-13)
+        assert result.mode == "origin"

@@ -167,7 +167,7 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     fires = starts(a, run, now, room)
     if fires != NONE:
         return at_once(now, fires)
-    now.floats[AIM] = aim(a, now, room, True)
+    now.floats[AIM] = aim(a, now, room, True, run[WATCHED] == 1.0)
     n, absolute, order = now.x.shape[0], run[TOLERANCES:], int(run[METHOD_ORDER])
     if order > 0:
         now.floats[FIRST_LENGTH] = first_step(room.c, n, order, run[RELATIVE], absolute)
@@ -452,12 +452,13 @@ def aimed(a: AutomatonArrays, now: Now, room: Room, sides: Ints) -> float:
     t = now.floats[T] + tau
     if afresh(a.programs, program, order, t, now.end, sides, room.c, room.work) < 0:
         return -1.0
-    return tau + aim(a, now, room, False)
+    return tau + aim(a, now, room, False, False)
 
 
-def aim(a: AutomatonArrays, now: Now, room: Room, starting: bool) -> float:
+def aim(a: AutomatonArrays, now: Now, room: Room, starting: bool, watched: bool) -> float:
     """The end of a short flight by its series (2). At the start of an arc only flights onto a
-    contact, or back onto a guard, are considered."""
+    contact, or back onto a guard, are considered; where steps are watched also flights onto an edge
+    or a surface, as what is beyond it would be shown in vain."""
     field, best = now.ints[FIELD], math.inf
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
@@ -465,7 +466,8 @@ def aim(a: AutomatonArrays, now: Now, room: Room, starting: bool) -> float:
         order = now.orders[g - first] if starting else 0
         if a.guards[g, CONDITION] != NONE:
             continue
-        back = kind in (EDGE, SWITCH) and order == 1
+        onto = watched and order == 0
+        back = kind in (EDGE, SWITCH) and (order == 1 or onto)
         if (kind == CONTACT and order <= 1) or (crossing != 0 and (back or not starting)):
             c = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)]
             value = c[0]

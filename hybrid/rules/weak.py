@@ -24,8 +24,8 @@ from .checks import (
     place,
     rate_of,
 )
-from .jets import OUTPUT, jets
-from .kinks import ZERO_SPACINGS, count, states
+from .jets import KINKS, OUTPUT, jets
+from .kinks import KINK_ROW, SWITCHES, ZERO_SPACINGS, count, states
 from .lengths import LAST_TERMS, LOW_ORDER, SHORTEST_STEP, own_length
 from .polynomials import power_size, power_value
 from .zeros import EPS
@@ -181,19 +181,62 @@ def _rates_follow(
     aside: Matrix,
     work: Floats,
 ) -> bool:
-    """Whether what the slopes are off, inside and at the end, shows in no state: each is measured
-    by itself, by how far its rate has led since the arc began, and by the largest."""
+    """Whether what the slopes are off, inside, at the end and on each side of a kink, shows in no
+    state: each is measured by itself, by how far its rate has led since the arc began, and by the
+    largest."""
+    if not _rate_follows(p, program, t, tau, h, HELD_INSIDE * h, sides, c, aside, work):
+        return False
+    if not _rate_follows(p, program, t, tau, h, h, sides, c, aside, work):
+        return False
+    for kink in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
+        if p.kinks[kink, SWITCHES] == 1:
+            for s in _sides_seen(c[p.kinks[kink, KINK_ROW]], h):
+                if s < h and not _rate_follows(p, program, t, tau, h, s, sides, c, aside, work):
+                    return False
+    return True
+
+
+def _sides_seen(series: Floats, h: float) -> tuple[float, float]:
+    """Where a kink turns back by its polynomial, and a place before its first zero; the end of the
+    step where there is none. Before the first zero, and between two, the flow has a formula of
+    which the end of the step may know nothing."""
+    off, rate, bend = series[0], series[1], series[2]
+    turns, zero = h, h
+    if rate * bend < 0.0:
+        turns = min(-0.5 * rate / bend, h)
+    square = rate * rate - 4.0 * off * bend
+    if square >= 0.0:
+        root = -0.5 * (rate + math.copysign(math.sqrt(square), rate))
+        if off * root > 0.0:
+            zero = min(zero, off / root)
+        if root * bend > 0.0:
+            zero = min(zero, root / bend)
+    return turns, HELD_INSIDE * zero if zero < h else h
+
+
+def _rate_follows(
+    p: Programs,
+    program: int,
+    t: float,
+    tau: float,
+    h: float,
+    s: float,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+) -> bool:
+    """Whether what the slopes are off at a place shows in no state at the end."""
     largest = 0.0
     for i in range(states(p, program)):
         largest = max(largest, abs(c[i, 0]))
-    for share in (HELD_INSIDE, 1.0):
-        at(p, program, t, share * h, sides, c, aside, work)
-        for i in range(states(p, program)):
-            _, slope = power_value(c[i], 0, FEW, share * h)
-            off = abs(rate_of(p, program, i, aside, 0) - slope) * h
-            size = max(abs(c[i, 0]), abs(c[i, 1]) * (tau + h), SMALLEST * largest)
-            if not off <= MISSED * EPS * size:
-                return False
+    at(p, program, t, s, sides, c, aside, work)
+    for i in range(states(p, program)):
+        _, slope = power_value(c[i], 0, FEW, s)
+        off = abs(rate_of(p, program, i, aside, 0) - slope) * h
+        size = max(abs(c[i, 0]), abs(c[i, 1]) * (tau + h), SMALLEST * largest)
+        if not off <= MISSED * EPS * size:
+            return False
     return True
 
 
