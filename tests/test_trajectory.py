@@ -414,3 +414,18 @@ def test_the_listed_speeds_of_a_tail_keep_their_digits():
     np.testing.assert_allclose(run.jumps.before.v, -exact[:-1], rtol=1e-13)
     np.testing.assert_allclose(run.jumps.after.v, exact[1:], rtol=1e-13)
     assert exact[-1] < 1e-14
+
+
+def test_a_sum_of_more_impacts_than_can_be_listed_is_counted_and_not_listed():
+    """A ball that loses a billionth of its speed: 37 thousand million impacts before a double can
+    tell them from the limit. A list of them was an error of numpy's."""
+    run = hy.simulate(BouncingBall(r=1.0 - 1e-9), {"x": 1.0, "v": 0.0}, (0.0, 2e9), solver="taylor")
+    assert "jumps listed" in repr(run)
+    assert "jumps listed" in run.explain()
+    with pytest.raises(
+        hy.OptionError, match=r"contact impact, .* 3.6\d*e\+10 impacts of a sum .* run.final"
+    ):
+        run.jumps  # noqa: B018
+    with pytest.raises(hy.OptionError, match="impacts of a sum"):
+        run(1e8)
+    assert run(1.9e9).x == 0.0

@@ -206,8 +206,8 @@ class TailPart(_Moded):
     @cached_property
     def jumps(self) -> Table:
         """All listed impacts of the tail."""
-        names = np.full(self.tail.count, self.tail.contact.name, dtype=object)
         t, low = self.times[:, 1:]
+        names = np.full(len(t), self.tail.contact.name, dtype=object)
         return Table(t, low, names, *self.tail.impacts)
 
     @cached_property

@@ -184,6 +184,13 @@ class Log:
         last = self.kept[-1] if self.kept else None
         return last is None or isinstance(last, Flights) or len(self.kept) - 1 in self.own
 
+    @property
+    def count(self) -> int:
+        """Number of jumps, those of chattering tails included; none of them is made for it."""
+        flown = sum(len(part.modes) for part in self.kept if isinstance(part, Flights))
+        summed = sum(part.tail.count for part in self.kept if isinstance(part, TailPart))
+        return len(self.own) + flown + summed
+
     def add(self, part: Part | Flights) -> None:
         """Append a part or a group of arcs."""
         self.kept.append(part)

@@ -447,7 +447,7 @@ class Solution:
         """
         lines = [
             f"{self.spec.model}, t = {self.t0:g} to {self.t1:g}: "
-            f"{counted(len(self.jumps), 'jump')} listed."
+            f"{counted(self.log.count, 'jump')} listed."
         ]
         lines += _few(self.zeno, explain, len(self.zeno) if whole else EXPLAINED)
         if self.status is Status.MAX_JUMPS:
@@ -463,7 +463,7 @@ class Solution:
         return f"The run ended at the edge {self.jumps[-1].edge}, which leads to hy.TERMINATE."
 
     def __repr__(self) -> str:
-        jumps = counted(len(self.jumps), "jump")
+        jumps = counted(self.log.count, "jump")
         head = f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, {jumps} listed"
         zeno = _few(self.zeno, lambda point: f"accumulation at t = {point.t!r}", LISTED)
         return "\n  ".join([head, *zeno, self.ending])

@@ -15,6 +15,7 @@ from numpy.polynomial import chebyshev
 
 from ..automaton.markers import Crossing
 from ..bounds.defect import follows
+from ..errors import OptionError
 from ..lowering.local import near, off
 from ..lowering.tape import Tape, lent, linked
 from ..lowering.taylor import polynomial
@@ -38,6 +39,9 @@ if TYPE_CHECKING:
     from ..lowering import Contact, Field
     from ..segment import Segment
     from .enclose import Proof
+
+#: Most impacts of a sum that are listed: with their states some ten gigabytes.
+MOST_LISTED = 100_000_000
 
 #: Impacts of a tail from which a proof is tried: by number, and as fractions of the listed impacts.
 PROOF_IMPACTS, SHARES_LISTED = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000), (0.25, 0.5, 0.75)
@@ -125,7 +129,20 @@ class Tail:
 
     @cached_property
     def times(self) -> np.ndarray:
-        """Times from ``y(1)`` to each listed impact; the first is 0."""
+        """Times from ``y(1)`` to each listed impact; the first is 0.
+
+        Raises
+        ------
+        OptionError
+            If they are more than :data:`MOST_LISTED`.
+        """
+        if self.count > MOST_LISTED:
+            raise OptionError(
+                f"contact {self.contact.name}, t = {self.t!r}: {self.count:.3g} impacts of a sum "
+                f"can be told from its limit, and no more than {MOST_LISTED:.0g} are listed: "
+                "run.final, run.zeno and times behind the limit need no list; for single "
+                "impacts, end the run before the limit"
+            )
         w = self.r ** np.arange(self.count + 1)
         times = chebyshev.chebval(2.0 * w - 1.0, self.curve[:, 0])
         times[0] = 0.0
