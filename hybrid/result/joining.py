@@ -23,7 +23,7 @@ Kind = TypeVar("Kind", bound=Solution)
 def join(run: Kind, more: Kind) -> Kind:
     """A run joined with one that continues it: see :meth:`hybrid.Trajectory.__add__`."""
     _require_fit(run, more)
-    before = len(run.jumps)
+    before = run.log.count
     log = run.log.then(more.log, before)
     options, samples = _options(run, more), None
     if run.samples is not None and more.samples is not None:

@@ -103,7 +103,7 @@ class FinishedRun:
             self,
             plan=plan,
             history=past,
-            log=run.log.then(self.log, len(run.jumps)),
+            log=run.log.then(self.log, run.log.count),
             zeno=[*zeno, *self.zeno],
             limits=[*[None] * len(zeno), *self.limits],
             jumps=jumps + self.jumps,
