@@ -210,7 +210,7 @@ class Pressed(hy.Automaton):
 
 #: When a body is back that sets out at ``z = 0.72``, by the power: with a root it is
 #: ``0.72 (1 + q) / 1.866``, where ``q`` is the share of ``z`` that is left, by the flow in the time
-#: ``s`` of ``dt = sqrt(x) ds``, in which it is linear; the other by a series in that time, with
+#: ``s`` of ``dt = 2 sqrt(x) ds``, in which it is linear; the other by a series in that time, with
 #: 25 digits.
 BACK = {0.5: 0.530743655848440556931, 1.5: 0.7388123861941236306553}
 
