@@ -151,7 +151,7 @@ def simulate(
     driver.run(begins, x, None if earlier is None else onward(driver, earlier))
     give_errors(driver, solver, method, begins, x, earlier)
     asked.judge(driver)
-    plan = driver.plan
+    plan = driver.asked
     options = {
         "solver": driver.solver.name,
         "method": driver.solver.method,

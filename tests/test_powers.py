@@ -263,3 +263,34 @@ def test_super_twisting_reaches_the_origin(way):
         result = WAYS[way].run(model, start, (0.0, 2.0 * limit))
         assert result.t_inf == pytest.approx(limit, rel=1e-13)
         assert result.mode == "origin"
+
+
+@pytest.mark.parametrize("way", ["DOP853", "RK45", "BDF", "LSODA", "Tsit5"])
+def test_steps_are_held_to_the_flights_of_a_cycle(way):
+    """The flights fall below the absolute tolerance before the limit is known: the turns that
+    followed were noise, and went on up to ``max_jumps``. What steps had lost by then is left, some
+    1e-5 of the time."""
+    given = {"solver": "diffrax" if way == "Tsit5" else "scipy", "method": way, "max_jumps": 100}
+    for a, b, z in np.random.default_rng(3).uniform([0.5, 1.0, 0.3], [1.5, 3.0, 1.0], (4, 3)):
+        share = np.exp(-a * np.pi / np.sqrt(8.0 * b - a * a))
+        limit = z / b * (1.0 + share) / (1.0 - share)
+        run = hy.simulate(SuperTwisting(a=a, b=b), {"x": 0.0, "z": z}, (0.0, 2 * limit), **given)
+        assert [point.t for point in run.zeno] == pytest.approx([limit], rel=1e-4)
+        assert run.mode == "origin"
+        assert run.options["atol"] == 1e-10
+
+
+def test_a_method_that_is_misled_by_an_infinite_slope_says_so():
+    """Next to the root's zero Radau's Newton iteration takes steps for solved that do not move:
+    ``x`` stayed at 4e-8 for good, with ``z`` at -3.7."""
+    model = SuperTwisting(a=0.5856, b=1.4736)
+
+    def ends(z):
+        try:
+            return hy.simulate(model, {"x": 0.0, "z": z}, (0.0, 4.4), method="Radau").mode
+        except hy.FlowError as fault:
+            return str(fault)
+
+    for z in 0.8608921256444777 * (1.0 + 1e-3 * np.arange(8)):
+        end = ends(z)
+        assert end == "origin" or "does not follow the flow" in end

@@ -28,6 +28,7 @@ from ..zeno.others import apart
 from . import truncate
 from .entry import Entry, Jumped, expand
 from .growth import grown
+from .tightening import tighten
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -348,6 +349,7 @@ def _go_on_from(
     driver.watch.over(edges)
     driver.touched, driver.tied = sides, _passed(driver, field, edges, limit.x_inf, sides)
     driver.cycles.forget()
+    tighten(driver)
     if rest is None:
         driver.status = Status.NO_REST if goes_on else Status.ZENO_STOPPED
     elif len(record.zeno) == driver.plan.accumulations:

@@ -86,7 +86,7 @@ class FinishedRun:
     @classmethod
     def of(cls, driver: Driver) -> FinishedRun:
         """What a driver has left."""
-        record, watched, plan = driver.record, driver.watchful, driver.plan
+        record, watched, plan = driver.record, driver.watchful, driver.asked
         zeno = [Compared.of(point) for point in record.zeno]
         found = record.log, zeno, record.tails, record.made, driver.steps
         plan = plan if plan.progress is None else attrs.evolve(plan, progress=None)

@@ -69,6 +69,7 @@ class Driver:
     ) -> None:
         self.model, self.scene = scene, scene.at(plan.t0)
         self.solver, self.plan, self.history = solver, plan, history
+        self.asked = plan
         self.watchful = Watchful(solver, plan.watchful, plan.shaken, plan.trusted)
         self.wary = plan.watchful is not None
         self.record = Recorder(plan, scene.contacts)

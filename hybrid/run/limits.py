@@ -22,6 +22,7 @@ from ..zeno.others import excluded, hull
 from .accumulations import after_cycle, pass_cycle, shut
 from .cycles import ZERO, Cycles, Seen, Turn
 from .instant import collapse
+from .tightening import tighten
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
@@ -264,6 +265,7 @@ def pass_limit(driver: Driver, mode: str) -> bool:
     sought = _sought(driver)
     known = driver.until(driver.known, driver.scene.field(mode), cycles.seen.x[-1])
     if sought is None:
+        tighten(driver)
         return False
     found, turn = sought
     over = -driver.record.now.after(found.remaining).until(known)
@@ -352,7 +354,7 @@ def _shown(driver: Driver, found: CycleLimit) -> bool:
 def _sought(driver: Driver) -> tuple[CycleLimit, Turn] | None:
     """The limit of the last jumps, if it is known to the accuracy wanted, or as well as rounding
     will ever show it."""
-    cycles, plan = driver.cycles, driver.plan
+    cycles, plan = driver.cycles, driver.asked
     rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
     ahead = cycles.known(driver.record.now, driver.record.made)
     if ahead is not None or cycles.ahead is not None:

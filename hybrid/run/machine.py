@@ -22,6 +22,7 @@ from ..rules import unit
 from ..rules.arrays import Left, Now
 from ..rules.calls import held
 from ..rules.places import (
+    ABSOLUTE,
     AT_REST,
     AT_START,
     BEGINS,
@@ -73,6 +74,7 @@ from ..rules.places import (
     STRIKES,
     TAILS,
     TAU,
+    TOLERANCES,
     TRIED,
     WALKS,
     WAS_LOW,
@@ -153,6 +155,14 @@ class Machine:
         self.needs: tuple[int, ...] = ()
         self.kept = KeptSteps(n, self.dense, self.outside is not None)
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
+
+    def tolerate(self) -> None:
+        """Take over the tolerances of the driver's plan, and what steps have lost of them."""
+        plan = self.driver.plan
+        self.run[ABSOLUTE], self.run[TOLERANCES:] = plan.limit, plan.atol
+        if self.needs:
+            self.rooms.run[:] = self.run
+            self.floats[STEPS_LOST] = self.driver.losses.tolerances
 
     def takes(self) -> bool:
         """Whether the compiled loop can fly the arc that begins at the driver's entry.

@@ -47,6 +47,15 @@ SCIPY_SPACINGS = 10.0
 #: Degree of the dense output of methods whose interpolant is sampled.
 SAMPLED_DEGREES = {"Radau": 3, "BDF": 5, "LSODA": 12}
 
+#: The share of a step over which its last slope is told, and how many tolerances are near its end.
+LAST_PART, NEARBY = 1e-3, 1e3
+
+#: What is told of a step that does not follow the flow.
+MISLED = (
+    "the method's step does not follow the flow: a slope of it that is infinite nearby, as that of "
+    "sqrt(x) at x = 0, misleads its Newton iteration; use an explicit method, or solver='taylor'"
+)
+
 #: The same for a user's class, and its assumed order for the choice of an arc's first step.
 OTHER_DEGREE, LOWEST = 8, 1
 
@@ -100,6 +109,7 @@ class SciPySolver(Solver):
             solver = self._construct(rates, x0, length, None, self.atol)
         else:
             solver = solver or self._copied(len(x0))
+            solver.atol = self.atol
             _restart(solver, rates, x0, length, first_step)
         self._kept[len(x0)] = solver
         return RungeKuttaStepper(solver, self)
@@ -133,7 +143,7 @@ class SciPySolver(Solver):
         given = {"jac": slopes} if known and slopes is not None else {}
         if sizes is None:
             solver = self._construct(flow, x0, length, first, self.atol, **given)
-            return SampledStepper(solver, degree, np.zeros_like(x0))
+            return SampledStepper(solver, degree, np.zeros_like(x0), self.rtol, self.atol)
 
         def moved(tau: float, way: np.ndarray) -> Any:
             return flow(tau, x0 + way)
@@ -143,7 +153,7 @@ class SciPySolver(Solver):
         atol = np.minimum(self.atol, self.rtol * np.maximum(sizes, 1e-300))
         first = min(first or length, 1e-2 * length)
         solver = self._construct(moved, np.zeros_like(x0), length, first, atol, **given)
-        return SampledStepper(solver, degree, x0)
+        return SampledStepper(solver, degree, x0, self.rtol, atol)
 
     def _construct(
         self,
@@ -312,21 +322,45 @@ class RungeKuttaStepper(_OdeStepper):
         return of_powers(start, length, powers)
 
 
+def follows(solver: Any, rtol: float, atol: Any) -> bool:
+    """Whether the last step of a method ends with the slope that the flow has near there.
+
+    An implicit method's Newton iteration, and its error estimate, are divided by the slope of the
+    flow where the step began. Next to a state where that is infinite, as of ``sqrt(x)`` at 0, they
+    take a step for solved that does not move. A stiff flow may have another rate at the end of a
+    good step, but not everywhere within what the tolerances allow.
+    """
+    t, x, dense = solver.t, solver.y, solver.dense_output()
+    back = LAST_PART * (t - dense.t_old)
+    slope, rate = (x - dense(t - back)) / back, np.asarray(solver.fun(t, x))
+    near = NEARBY * (atol + rtol * np.abs(x))
+    off = np.abs(rate - slope)
+    odd = (off > 0.5 * np.maximum(np.abs(rate), np.abs(slope))) & (off * (t - dense.t_old) > near)
+    if not odd.any():
+        return True
+    beside = [solver.fun(t, x + side) for side in (*np.diag(near), *-np.diag(near))]
+    least, most = np.nanmin([rate, *beside], axis=0), np.nanmax([rate, *beside], axis=0)
+    return bool(np.all(~odd | ((least <= slope) & (slope <= most))))
+
+
 class SampledStepper(_OdeStepper):
     """Radau, BDF, LSODA and users' classes: samples the interpolant, which is a polynomial."""
 
     _whole: Segment | None = None
     _last: Segment | None = None
 
-    def __init__(self, solver: Any, degree: int, origin: Numbers) -> None:
+    def __init__(self, solver: Any, degree: int, origin: Numbers, rtol: float, atol: Any) -> None:
         super().__init__(solver)
         self.degree, self.origin = degree, origin
+        self.rtol, self.atol = rtol, atol
         self.x = solver.y + origin
 
     def step(self, limit: float) -> None:
         self._advance()
         self.x = self.solver.y + self.origin
         self._whole = self._last = None
+        if not follows(self.solver, self.rtol, self.atol):
+            raise FlowError(MISLED)
 
     def segment(self) -> Segment:
         """The method's own interpolant, sampled."""
