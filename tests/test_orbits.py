@@ -670,3 +670,27 @@ def test_lanes_meet_a_surface_in_a_series_of_impacts_too():
     lanes = hy.ensemble(Clocked(), start, (0, 8), solver="taylor", **asked)
     assert lanes.hits.values.tolist() == [1, 1]
     np.testing.assert_allclose(lanes.t_section.values[:, 0], 2.3, rtol=1e-12)
+
+
+class RestsBesideIdle(hy.Automaton):
+    """A body that rests on a moving table, and an oscillator about ``y = 1.5``."""
+
+    x, v, y, u = hy.state(), hy.state(), hy.state(), hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -1.0, s.u, 1.5 - s.y - 0.2 * s.u
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - 0.5 * jnp.sin(t), restitution=0.5)
+
+
+@pytest.mark.parametrize("settle", [0, 5, 40])
+def test_an_element_that_is_zero_but_for_rounding_closes(settle):
+    """Once the oscillator has settled its speed is the rounding of ``y``, and closes to none of
+    its own size."""
+    start = {"x": 1.0, "v": 0.0, "y": 1.6, "u": 0.0}
+    orbit = hy.periodic_orbit(RestsBesideIdle(), start, t=0.3, period=2 * np.pi, settle=settle)
+    exact = np.exp(2 * np.pi * (-0.1 - 1j * np.sqrt(0.99) * np.array([1, -1])))
+    found = orbit.multipliers
+    assert found[np.argsort(-found.imag)[[0, -1]]] == pytest.approx(exact, abs=1e-9)
+    assert np.sort(np.abs(found))[:2] == pytest.approx([0.0, 0.0], abs=1e-12)

@@ -21,6 +21,7 @@ from ..delay.history import pieces
 from ..errors import HybridError, OrbitError
 from ..lowering import Scene, scene_of
 from ..result import Trajectory
+from ..rules.zeros import EPS
 from ..simulation import simulate, whole
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
@@ -47,6 +48,9 @@ EQUILIBRIUM_MOVE = 1e-6
 
 #: The range of an element, used for scaling, is at least this fraction of its size.
 HARDLY = 1e-9
+
+#: How many roundings of the others a turn leaves in an element.
+TURN_ROUNDINGS = 16.0
 
 #: Shortest arc, relative to the period, in which an orbit may start (neither rest nor sliding).
 SHORTEST_ARC = 1e-2
@@ -119,8 +123,11 @@ class Shooting:
         guess = attrs.evolve(guess, x=x)
         run = self.fly(guess, guess.period)
         miss, scale = run.parts[-1].last - run.parts[0].first, self._scale(run)  # type: ignore[union-attr]
-        residual = float(np.max(np.abs(miss) / scale)) + self._apart(run)
-        return Shot(guess, run, miss, scale, residual)
+        residual = float(np.max(np.abs(miss) / scale))
+        if residual > self.tol:
+            scale = np.maximum(scale, self._rounding(run) / self.tol)
+            residual = float(np.max(np.abs(miss) / scale))
+        return Shot(guess, run, miss, scale, residual + self._apart(run))
 
     def fly(self, guess: Guess, length: float) -> Trajectory:
         """The run of a given length from a guess."""
@@ -189,6 +196,18 @@ class Shooting:
                 break
             turn, reach = better, NEWTON_REACH if halvings else 2.0 * reach
         return turn
+
+    def _rounding(self, run: Trajectory) -> StateVector:
+        """What the rounding of the states leaves in each of them in a turn, by the flow at its
+        start: an element that is zero all along, beside others that are not, has no other size."""
+        first, sizes = run.parts[0], largest(run.parts)
+        jacobian = self.scene.field(first.mode).jacobian
+        if jacobian is None:
+            return np.zeros(len(sizes))
+        start = first.first.tolist()  # type: ignore[union-attr]
+        matrix = np.reshape(jacobian(run.t0, start), (len(sizes), -1))
+        left = TURN_ROUNDINGS * EPS * (run.t1 - run.t0) * (np.abs(matrix) @ sizes)
+        return np.where(np.isfinite(left), left, 0.0)
 
     def _improved(self, turn: Shot, reach: float) -> tuple[Shot | None, int]:
         """The turn after a Newton step no longer than ``reach``, shortened until the residual

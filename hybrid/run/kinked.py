@@ -154,6 +154,7 @@ class KinkedStepper(Stepper):
         t, x, left = self.t0 + self.tau, self.x, bound - self.tau
         first = None if self.first is None else min(self.first, left)
         self.inner = self.solver.begin(self.field, t, x, left, first, self.sizes)
+        self.inner.verifies = False
         self.offset, self.bound, self.passed = self.tau, bound, False
         self.signs = self._values(t, x)
 
@@ -177,6 +178,7 @@ class KinkedStepper(Stepper):
             self.first = own.length
             cut = self._first_cut(own) or self._next_to(own) or self._at_end(own, signs)
             if cut is None:
+                self.inner.verify()
                 self.passes = 0
                 return
             self.tau, self.x = before

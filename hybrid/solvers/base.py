@@ -131,15 +131,21 @@ class Stepper(abc.ABC):
         Local time reached.
     x : array
         State there.
+    verifies : bool
+        Whether each step verifies itself; otherwise the caller does, once it keeps the step.
     """
 
-    repeats = False
+    repeats, verifies = False, True
     tau: float
     x: StateVector
 
     @abc.abstractmethod
     def step(self, limit: float) -> None:
         """Make one accepted step, not beyond local time ``limit``."""
+
+    def verify(self) -> None:  # noqa: B027
+        """Raise a :class:`hybrid.FlowError` if the last step does not follow the flow, although the
+        method's own error estimate is small."""
 
     def finish(self, length: float) -> int:
         """Make one or more steps towards ``length``, without segments; returns their number."""

@@ -47,6 +47,9 @@ SCIPY_SPACINGS = 10.0
 #: Degree of the dense output of methods whose interpolant is sampled.
 SAMPLED_DEGREES = {"Radau": 3, "BDF": 5, "LSODA": 12}
 
+#: The same for a user's class, and its assumed order for the choice of an arc's first step.
+OTHER_DEGREE, LOWEST = 8, 1
+
 #: The share of a step over which its last slope is told, and how many tolerances are near its end.
 LAST_PART, NEARBY = 1e-3, 1e3
 
@@ -55,9 +58,6 @@ MISLED = (
     "the method's step does not follow the flow: a slope of it that is infinite nearby, as that of "
     "sqrt(x) at x = 0, misleads its Newton iteration; use an explicit method, or solver='taylor'"
 )
-
-#: The same for a user's class, and its assumed order for the choice of an arc's first step.
-OTHER_DEGREE, LOWEST = 8, 1
 
 
 class SciPySolver(Solver):
@@ -331,11 +331,12 @@ def follows(solver: Any, rtol: float, atol: Any) -> bool:
     good step, but not everywhere within what the tolerances allow.
     """
     t, x, dense = solver.t, solver.y, solver.dense_output()
-    back = LAST_PART * (t - dense.t_old)
+    length = t - dense.t_old
+    back = LAST_PART * length
     slope, rate = (x - dense(t - back)) / back, np.asarray(solver.fun(t, x))
-    near = NEARBY * (atol + rtol * np.abs(x))
-    off = np.abs(rate - slope)
-    odd = (off > 0.5 * np.maximum(np.abs(rate), np.abs(slope))) & (off * (t - dense.t_old) > near)
+    near, off = NEARBY * (atol + rtol * np.abs(x)), np.abs(rate - slope)
+    rates = np.abs([rate, slope, (x - dense(dense.t_old)) / length])
+    odd = (off > 0.5 * rates.max(axis=0)) & (off * length > near)
     if not odd.any():
         return True
     beside = [solver.fun(t, x + side) for side in (*np.diag(near), *-np.diag(near))]
@@ -359,6 +360,10 @@ class SampledStepper(_OdeStepper):
         self._advance()
         self.x = self.solver.y + self.origin
         self._whole = self._last = None
+        if self.verifies:
+            self.verify()
+
+    def verify(self) -> None:
         if not follows(self.solver, self.rtol, self.atol):
             raise FlowError(MISLED)
 
