@@ -105,3 +105,24 @@ def test_short_steps_alone_are_no_error(model, stuck):
         with pytest.raises(hy.FlowError) if stuck else nullcontext():
             for k in range(4 * COUNTED):
                 pace.steps(1e-10 * (k + 1), np.array([1e-12, v]))
+
+
+class SuperTwistingAtOnce(hy.Automaton):
+    """A super-twisting controller written as a flow that jumps: at its limit the jumps go on."""
+
+    x = hy.state()
+    z = hy.state()
+
+    @hy.mode
+    def moves(self, t, s):
+        side = jnp.sign(s.x)
+        return s.z - 1.5 * jnp.sqrt(jnp.abs(s.x)) * side, -1.1 * side
+
+
+@pytest.mark.parametrize(("solver", "method"), [("scipy", "DOP853"), ("diffrax", "Tsit5")])
+def test_jumps_of_a_flow_that_go_on_in_noise_end_in_an_error(solver, method):
+    """Their steps no longer shrink: 1e14 of them would have led to the end."""
+    told = r"SuperTwistingAtOnce, mode moves, t = 1\.71.*(ever shorter|steps the last are of)"
+    model, start = SuperTwistingAtOnce(), {"x": 1.0, "z": 0.5}
+    with pytest.raises(hy.FlowError, match=told):
+        hy.simulate(model, start, (0.0, 30.0), solver=solver, method=method)

@@ -16,15 +16,20 @@ if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
 
 
+#: Twice as many steps as before that cover more than so many times the way grow longer.
+GROWS = 4.0
+
+
 class Pace:
     """Watches the steps of an arc.
 
-    Three kinds are detected. Steps that become ever shorter, as under a force ``sin(1/x)`` near 0:
+    Four kinds are detected. Steps that become ever shorter, as under a force ``sin(1/x)`` near 0:
     the time covered by steps 512 to 1023, 1024 to 2047, and so on grows if steps are of one length,
     and stays the same if the n-th is as short as 1/n; if it falls like a geometric series, the sum
-    of all steps is finite. Steps no longer than the spacing of floats at their time. And steps that
-    go back and forth over a discontinuity to which the flow leads from both sides: there they stay
-    as short as the tolerances allow.
+    of all steps is finite. Steps no longer than the spacing of floats at their time. Steps that
+    have shrunk and stay so short that the end is 1e12 of them away, as where a flow jumps ever
+    sooner until tolerances hide it. And steps that go back and forth over a discontinuity to which
+    the flow leads from both sides: there they stay as short as the tolerances allow.
     """
 
     def __init__(self, field: Field, t0: float, length: float) -> None:
@@ -45,14 +50,16 @@ class Pace:
             return
         made, gone = self.count - self.begun[0], end - self.begun[1]
         self.falls = self.falls + 1 if self.due > COUNTED and gone < SWING_SHARE * self.gone else 0
+        grows = self.due == COUNTED or gone > GROWS * self.gone
         self.begun, self.gone, self.due = (self.count, end), gone, 2 * self.count
         left, mean = self.length - end, gone / made
         many = left > STEPS_LEFT * mean > 0.0
         if many and any(self._leads_back(k, end, x, mean) for k in self._jumps()):
             raise FlowError(f"after {self.count} steps the last are of {mean:.3g}: {LEADS_BACK}")
-        stuck = mean <= FEW_STEPS * np.spacing(
-            abs(end)
-        )  # the time itself tells no shorter ones apart
+        # the time itself tells no shorter ones apart
+        stuck = mean <= FEW_STEPS * np.spacing(abs(end)) or (
+            left > STEPS_LEFT**2 * mean and not grows
+        )
         if (stuck or self.falls >= ROWS) and left > STEPS_LEFT * last:
             raise FlowError(
                 f"the steps become ever shorter: {self.count} in this arc, the last of "
