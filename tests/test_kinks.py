@@ -644,3 +644,27 @@ def test_a_derivative_of_a_motion_that_begins_on_a_jump_comes_to_an_end(solver):
         )
     assert value == pytest.approx(2.5, abs=1e-6)
     assert slope == pytest.approx(0.5, abs=1e-6)
+
+
+class Vessels(hy.Automaton):
+    """Two communicating vessels, by a law of their levels' difference."""
+
+    a = hy.state()
+    b = hy.state()
+    soft = hy.parameter(0.0)
+
+    @hy.mode
+    def levels(self, t, s):
+        d = s.a - s.b
+        law = jnp.where(self.soft > 0.0, 0.5 / jnp.sqrt(jnp.abs(d) + self.soft), 3.0 + jnp.abs(d))
+        return -d * law, d * law
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "LSODA"])
+@pytest.mark.parametrize(("soft", "b"), [(0.0, 0.3), (1e-6, 0.0)])
+def test_a_state_settles_on_a_corner_of_the_flow(method, soft, b):
+    """Rounding then has it on either side in turn: DOP853 met the corner in every step, and took
+    that for a flow that jumps back and forth."""
+    run = hy.simulate(Vessels(soft=soft), {"a": 1.0, "b": b}, (0.0, 60.0), method=method)
+    level = 0.5 * (1.0 + b)
+    assert [run.final.a, run.final.b] == pytest.approx([level, level], abs=1e-8)

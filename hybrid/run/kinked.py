@@ -45,6 +45,10 @@ STRAIGHT_BEYOND = 8.0
 #: Most kinks that are passed with no step between: more than there are in any flow.
 MOST_PASSES = 256
 
+#: Half as far from a corner a flow has changed by half as much, from a root by 0.71, and from a
+#: jump by as much; this near to it (1e-10 of the states), as rounding leaves 1e-4 of the change.
+CORNER, NEAR_CORNER = 0.6, 1e-6
+
 #: A deciding function of which a step leaves so much may be zero where it ends.
 HAS_COME = 1e-6
 
@@ -89,14 +93,20 @@ def begin(
     return KinkedStepper(solver, field, changes, (t, x, length, first_step, sizes), way)
 
 
+def aside(x: StateVector) -> StateVector:
+    """By how much states are moved off a place, each by another share."""
+    moved: StateVector = np.where(x == 0.0, np.abs(x).max() or 1.0, x)
+    return moved * np.linspace(ASIDE, 2.0 * ASIDE, len(x))
+
+
 def is_held(kink: Kink, field: Field, t: float, x: StateVector, length: float) -> bool:
     """Whether a deciding function is zero wherever the state is held, as far as states beside this
     one show: those that are moved off, and back onto what holds the state."""
     assert field.project is not None
-    moved = np.where(x == 0.0, np.abs(x).max() or 1.0, x) * np.linspace(ASIDE, 2.0 * ASIDE, len(x))
+    moved = aside(x)
     here, then = abs(kink.value(t, x.tolist())), t + ASIDE * length
-    for aside in ((x + moved).tolist(), (x - moved).tolist()):
-        off, back = kink.value(then, aside), kink.value(then, list(field.project(then, aside)))
+    for beside in ((x + moved).tolist(), (x - moved).tolist()):
+        off, back = kink.value(then, beside), kink.value(then, list(field.project(then, beside)))
         if not max(here, abs(back)) < HELD_SHARE * abs(off):
             return False
     return True
@@ -177,9 +187,11 @@ class KinkedStepper(Stepper):
             self._take(own, limit)
             self.first = own.length
             cut = self._first_cut(own) or self._next_to(own) or self._at_end(own, signs)
-            if cut is None:
+            settled = cut is not None and self._settled(cut, *before)
+            if cut is None or settled:
                 self.inner.verify()
-                self.passes = 0
+                self.passes = self.passes if settled else 0
+                self.signs = self._values(self.t0 + self.tau, self.x) if settled else self.signs
                 return
             self.tau, self.x = before
             inside = cut.before > 0.0
@@ -191,6 +203,23 @@ class KinkedStepper(Stepper):
             else:
                 self._pass(cut, ahead)
                 return
+
+    def _settled(self, cut: Cut, tau: float, x: StateVector) -> bool:
+        """Whether the state has come to rest on a corner of the flow, as that of ``abs(a - b)``
+        where ``a`` and ``b`` level out: rounding then has it on either side in turn.
+
+        The flow is the same there by both formulas, and steps need not end. That it has a corner,
+        and no jump or root, is told by how it changes over the place from half as far.
+        """
+        if self.passes < MOST_PASSES:
+            return False
+        t, moved = self.t0 + tau, NEAR_CORNER * aside(x)
+        sides = [cut.kink.value(t, (x + way * moved).tolist()) for way in (0.5, -0.5)]
+        far, near = (
+            np.abs(self.field.flow(t, x + way * moved) - self.field.flow(t, x - way * moved))
+            for way in (1.0, 0.5)
+        )
+        return sides[0] * sides[1] < 0.0 and bool(np.all(near <= CORNER * far))
 
     def _depart(self, way: Departure, limit: float) -> None:
         """Go to where no deciding function is zero, as the first step."""
