@@ -14,6 +14,7 @@ import attrs
 import numpy as np
 
 from ..rules.ties import MOST_LOST
+from ..solvers.base import LEAST_ATOL
 
 if TYPE_CHECKING:
     from .cycles import Seen
@@ -49,7 +50,7 @@ def _moved(driver: Driver, turn: list[Seen]) -> np.ndarray:
 def _tolerate(driver: Driver, share: float) -> None:
     """Give steps a share of the absolute tolerances that were asked for. What steps have lost is
     counted in tolerances: of smaller ones it is more."""
-    atol, losses = share * driver.asked.atol, driver.losses
+    atol, losses = np.maximum(share * driver.asked.atol, LEAST_ATOL), driver.losses
     if np.array_equal(atol, driver.plan.atol):
         return
     driver.solver.atol = driver.solver.atol * (atol / driver.plan.atol)

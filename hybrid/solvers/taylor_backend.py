@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 #: Why a step is impossible, by status.
 REFUSED = {
-    NO_SERIES: "the flow is not finite, or has no Taylor series",
+    NO_SERIES: "the flow is not finite, or has no Taylor series; solver='scipy' needs none",
     NOT_FINITE: base.NO_FLOW_HERE,
     NO_STEP: f"the Taylor series does not converge: the step became zero; {LEADS_BACK}",
 }
