@@ -51,7 +51,7 @@ SAMPLED_DEGREES = {"Radau": 3, "BDF": 5, "LSODA": 12}
 OTHER_DEGREE, LOWEST = 8, 1
 
 #: The share of a step over which its last slope is told, and how many tolerances are near its end.
-LAST_PART, NEARBY = 1e-3, 1e3
+SLOPE_PART, NEARBY = 1e-3, 1e3
 
 #: What is told of a step that does not follow the flow.
 MISLED = (
@@ -332,7 +332,7 @@ def follows(solver: Any, rtol: float, atol: Any) -> bool:
     """
     t, x, dense = solver.t, solver.y, solver.dense_output()
     length = t - dense.t_old
-    back = LAST_PART * length
+    back = SLOPE_PART * length
     slope, rate = (x - dense(t - back)) / back, np.asarray(solver.fun(t, x))
     near, off = NEARBY * (atol + rtol * np.abs(x)), np.abs(rate - slope)
     rates = np.abs([rate, slope, (x - dense(dense.t_old)) / length])
