@@ -130,7 +130,8 @@ def status(path: Any) -> dict[str, Any]:
     """
     need("hybrid sweep --status", MAPS)
     groups = [path, *sorted(Path(path).glob("round*"))] if Path(path).is_dir() else [path]
-    found = [group for group in (_open(each, "r") for each in groups) if DONE in group]
+    opened = (_open(each, "r") for each in groups)
+    found = [own for own in opened if DONE in own and "hybrid" in own.attrs]  # one may be begun
     if not found:
         raise StoreError(f"{path} is no map that hybrid has stored")
     when = [group[DONE][:] for group in found]
