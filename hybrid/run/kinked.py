@@ -190,7 +190,7 @@ class KinkedStepper(Stepper):
             settled = cut is not None and self._settled(cut, *before)
             if cut is None or settled:
                 self.inner.verify()
-                self.passes = self.passes if settled else 0
+                self.passes = MOST_PASSES - 1 if settled else 0  # it may cross from beside it
                 self.signs = self._values(self.t0 + self.tau, self.x) if settled else self.signs
                 return
             self.tau, self.x = before

@@ -139,11 +139,12 @@ class SciPySolver(Solver):
         its extent; at order one, the absolute tolerances would swallow it.
         """
         known = self.cls in METHODS.values()
+        kept = self.rtol if known else None
         degree = SAMPLED_DEGREES[self.method] if known else OTHER_DEGREE
         given = {"jac": slopes} if known and slopes is not None else {}
         if sizes is None:
             solver = self._construct(flow, x0, length, first, self.atol, **given)
-            return SampledStepper(solver, degree, np.zeros_like(x0), self.rtol, self.atol)
+            return SampledStepper(solver, degree, np.zeros_like(x0), kept, self.atol)
 
         def moved(tau: float, way: np.ndarray) -> Any:
             return flow(tau, x0 + way)
@@ -153,7 +154,7 @@ class SciPySolver(Solver):
         atol = np.minimum(self.atol, self.rtol * np.maximum(sizes, 1e-300))
         first = min(first or length, 1e-2 * length)
         solver = self._construct(moved, np.zeros_like(x0), length, first, atol, **given)
-        return SampledStepper(solver, degree, x0, self.rtol, atol)
+        return SampledStepper(solver, degree, x0, kept, atol)
 
     def _construct(
         self,
@@ -345,12 +346,17 @@ def follows(solver: Any, rtol: float, atol: Any) -> bool:
 
 
 class SampledStepper(_OdeStepper):
-    """Radau, BDF, LSODA and users' classes: samples the interpolant, which is a polynomial."""
+    """Radau, BDF, LSODA and users' classes: samples the interpolant, which is a polynomial.
+
+    ``rtol`` is None for a user's class: the slope at the end of its interpolant may be any.
+    """
 
     _whole: Segment | None = None
     _last: Segment | None = None
 
-    def __init__(self, solver: Any, degree: int, origin: Numbers, rtol: float, atol: Any) -> None:
+    def __init__(
+        self, solver: Any, degree: int, origin: Numbers, rtol: float | None, atol: Any
+    ) -> None:
         super().__init__(solver)
         self.degree, self.origin = degree, origin
         self.rtol, self.atol = rtol, atol
@@ -364,7 +370,7 @@ class SampledStepper(_OdeStepper):
             self.verify()
 
     def verify(self) -> None:
-        if not follows(self.solver, self.rtol, self.atol):
+        if self.rtol is not None and not follows(self.solver, self.rtol, self.atol):
             raise FlowError(MISLED)
 
     def segment(self) -> Segment:
