@@ -25,6 +25,7 @@ from ..automaton.spec import ContactSpec, Spec
 from ..automaton.trace import Traced, again, caller
 from ..errors import DeclarationError
 from .arithmetic import solve
+from .matrices import BY_DETERMINANTS
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix
@@ -124,38 +125,56 @@ class Held:
 
     def forces(
         self, parameters: Any, t: Any, x: Any, group: Sequence[int]
-    ) -> tuple[list[Any], list[Any], list[Any]]:
+    ) -> tuple[Any, list[Any], list[Any]]:
         """Of a group: multipliers that make the gap accelerations zero; weights ``N.D``;
         directions."""
         _, speeds, directions = self.geometry(parameters, t, x, group)
-        matrix = [[n @ d for d in directions] for n in speeds]
+        matrix = self._products(speeds, directions)
         wanted = [-self.contacts[i].acceleration(parameters, t, x) for i in group]
         weights = [row[i] for i, row in enumerate(matrix)]
         return self._solve(matrix, wanted, group), weights, directions
 
-    def _solve(
-        self, matrix: list[list[Any]], right: list[Any], group: Sequence[int] | None = None
-    ) -> list[Any]:
+    def _products(self, left: list[Any], right: list[Any]) -> Any:
+        """The scalar products of each of some vectors with each of others."""
+        if self.mask is None:
+            return [[n @ d for d in right] for n in left]
+        import jax.numpy as jnp
+
+        return jnp.stack(left) @ jnp.stack(right).T
+
+    def _sum(self, factors: Any, vectors: list[Any]) -> Any:
+        """The sum of vectors, each with a factor."""
+        if self.mask is None:
+            return sum(f * v for f, v in zip(factors, vectors, strict=True))
+        import jax.numpy as jnp
+
+        return factors @ jnp.stack(vectors)
+
+    def _solve(self, matrix: Any, right: list[Any], group: Sequence[int] | None = None) -> Any:
         """Solve the equations of the held contacts of a group, or of all; multipliers of the others
-        are 0."""
+        are 0.
+
+        With a mask JAX compiles them, and a library solves more than a few: written out, those of
+        twenty contacts took it a minute.
+        """
         if self.mask is None:
             return solve(matrix, right)
         import jax.numpy as jnp
 
         size = len(right)
-        pairs = [self.mask[i] for i in group or range(size)]
-        rows = [
-            [jnp.where(pairs[i] & pairs[j], matrix[i][j], float(i == j)) for j in range(size)]
-            for i in range(size)
-        ]
-        return solve(rows, [jnp.where(held, b, 0.0) for held, b in zip(pairs, right, strict=True)])
+        held = jnp.stack([jnp.asarray(self.mask[i]) for i in group or range(size)])
+        rows = jnp.where(held[:, None] & held, matrix, jnp.eye(size))
+        wanted = jnp.where(held, jnp.stack(right), 0.0)
+        if size > BY_DETERMINANTS:
+            return jnp.linalg.solve(rows, wanted)
+        return jnp.stack(solve([list(row) for row in rows], list(wanted)))
 
     def rest(self, parameters: Any, t: Any, x: Any) -> Any:
         """The resting field."""
         field = self.flow(parameters, t, x)
         for group in self.groups or (range(len(self.contacts)),):
             multipliers, _, directions = self.forces(parameters, t, x, group)
-            field += sum(m * d for m, d in zip(multipliers, directions, strict=True))
+            field += self._sum(multipliers, directions)
         return field
 
     def load(self, index: int) -> Traced:
@@ -173,13 +192,11 @@ class Held:
         """The state projected onto zero gaps (two Newton steps) and zero gap speeds."""
         for _ in range(2):
             gradients, _, _ = self.geometry(parameters, t, x)
-            matrix = [[n @ m for m in gradients] for n in gradients]
-            steps = self._solve(matrix, [c.gap(parameters, t, x) for c in self.contacts])
-            x = x - sum(s * n for s, n in zip(steps, gradients, strict=True))
+            gaps = [c.gap(parameters, t, x) for c in self.contacts]
+            x = x - self._sum(self._solve(self._products(gradients, gradients), gaps), gradients)
         _, speeds, directions = self.geometry(parameters, t, x)
-        matrix = [[n @ d for d in directions] for n in speeds]
-        steps = self._solve(matrix, [c.speed(parameters, t, x) for c in self.contacts])
-        return x - sum(s * d for s, d in zip(steps, directions, strict=True))
+        rates = [c.speed(parameters, t, x) for c in self.contacts]
+        return x - self._sum(self._solve(self._products(speeds, directions), rates), directions)
 
 
 def laws(
