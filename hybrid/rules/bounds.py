@@ -30,7 +30,7 @@ HALF_SPACING, LEAST = 2.0**-53 * (1.0 + 2.0**-52), 2.0**-1074
 #: Beyond this the exponential is more than a double can be; a quarter of a turn.
 LARGEST, QUARTER = 709.782712893384, 0.5 * math.pi
 
-#: Beyond this angle its rounding could hide a turn of the sine.
+#: Beyond this angle a sine is only known to be none beyond 1: rounding could hide a turn of it.
 TURNS = 1e4
 
 
@@ -122,9 +122,11 @@ def bounds(op: int, a: float, b: float, c: float, d: float) -> tuple[float, floa
         return outwards(math.sqrt(a), math.sqrt(b))
     if op == EXP_BOUNDS and b < LARGEST:
         return outwards(math.exp(a) * (1.0 - LIBRARY_ERROR), math.exp(b) * (1.0 + LIBRARY_ERROR))
-    if op == SIN_BOUNDS and max(-a, b) <= TURNS:
+    if op in (SIN_BOUNDS, COS_BOUNDS) and not max(-a, b) <= TURNS:
+        return -1.0, 1.0
+    if op == SIN_BOUNDS:
         return wave(math.sin(a), math.sin(b), half_turns(a - QUARTER), half_turns(b - QUARTER))
-    if op == COS_BOUNDS and max(-a, b) <= TURNS:
+    if op == COS_BOUNDS:
         return wave(math.cos(a), math.cos(b), half_turns(a), half_turns(b))
     return math.nan, math.nan
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from .arrays import AutomatonArrays, Floats, Now, Room
+from .away import away
 from .checks import HELD_BEFORE, HELD_INSIDE, MISSED, ROUNDING_BESIDE, along, second
 from .jets import OUTPUT, afresh
 from .kinks import SIDE_BLUR, count
@@ -29,18 +30,21 @@ from .places import (
     GUARDS_END,
     LOOKS,
     MADE_OF,
+    METHOD_ORDER,
     NONE,
     OFF,
     PHASE,
     REACHES,
     RELATIVE,
     SEES,
+    SERIES_END,
     SIZES,
     STEP_LOSS,
     TAU,
     USES,
     USES_END,
     WATCH,
+    WATCHED,
     WHEN,
     T,
 )
@@ -68,6 +72,9 @@ JUMPS_WITHIN = 16
 
 #: A shift onto a guard that is so small beside the way to it is made along a straight line.
 SMALL_SHIFT = 1e-6
+
+#: A step so much longer than the guards' series is worth bounding them behind the ends of these.
+WORTH_BOUNDING = 2.0
 
 
 def first_event(
@@ -100,7 +107,8 @@ def signed(a: AutomatonArrays, now: Now, room: Room, s: float) -> None:
     field, before, beside = now.ints[FIELD], (1.0 - TIED_IN_STEP) * s, (1.0 + TIED_IN_STEP) * s
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
-        if now.zeros[g - first, WHEN] > beside:
+        zero = now.zeros[g - first]
+        if zero[WHEN] > beside and before <= zero[SERIES_END]:
             c = room.c[row_of(a, series_of(a, now), field, g)]
             value, _ = power_value(c, 0, c.shape[0] - 1, before)
             now.signs[g - first] = 1 if value > 0.0 else -1
@@ -125,6 +133,7 @@ def zero_of(
     """
     field = now.ints[FIELD]
     place = guard - a.fields[field, GUARDS]
+    h = min(h, now.zeros[place, SERIES_END])  # behind which it is away from zero
     c = room.c[row_of(a, series_of(a, now), field, guard)]
     left = behind(c, h) if a.guards[guard, AFFINE] == 0 else 0.0
     crossing, bends = a.guards[guard, CROSSING], a.guards[guard, BENDS] == 1
@@ -164,8 +173,7 @@ def zero_of(
         side = direction
         if (crossing == 0 or direction * crossing > 0.0) and holds_at(a, now, room, guard, s):
             return fires(a, run, now, room, c, guard, order, s, -direction)
-        open_ = own_open(a, run, now, room, guard, c, s)
-        if a.guards[guard, BOUNDS] == 1 or turns(c, s, direction, open_):
+        if a.guards[guard, BOUNDS] == 1 or turns(a, run, now, room, guard, c, s, direction):
             return 0.0
     value, _ = power_value(c, 0, degree, h)
     size = power_size(c, 0, degree, h)
@@ -231,7 +239,7 @@ def fires(
     now.signs[guard - a.fields[now.ints[FIELD], GUARDS]] = 1 if before > 0.0 else -1
     if order == 1 and not has_left(a, now, room, c, guard, s):
         return 0.0
-    return 0.0 if turns(c, s, -before, own_open(a, run, now, room, guard, c, s)) else s
+    return 0.0 if turns(a, run, now, room, guard, c, s, -before) else s
 
 
 def left_open(a: AutomatonArrays, run: Floats, guard: int, x: Floats) -> float:
@@ -284,12 +292,23 @@ def blurred(c: Floats, s: float) -> float:
     return left / abs(slope) if left < abs(slope) * s else s
 
 
-def turns(c: Floats, s: float, direction: float, tolerance: float) -> bool:
-    """Whether a guard that crosses zero in a direction turns back before it is deeper than a
-    tolerance."""
+def turns(
+    a: AutomatonArrays,
+    run: Floats,
+    now: Now,
+    room: Room,
+    guard: int,
+    c: Floats,
+    s: float,
+    direction: float,
+) -> bool:
+    """Whether a guard that crosses zero in a direction turns back before it is deeper than what the
+    tolerances leave open."""
     _, slope = power_value(c, 0, c.shape[0] - 1, s)
     bend, _ = second(c, s)
-    return shallow(slope, bend, direction, tolerance)
+    if slope * direction > 0.0 and bend * direction >= 0.0:  # it goes ever faster
+        return False
+    return shallow(slope, bend, direction, own_open(a, run, now, room, guard, c, s))
 
 
 def shallow(slope: float, bend: float, direction: float, tolerance: float) -> bool:
@@ -319,23 +338,31 @@ def has_left(a: AutomatonArrays, now: Now, room: Room, c: Floats, guard: int, s:
 def resolved(
     a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, h: float, kink: bool
 ) -> float:
-    """How far of a step the guards' series have converged, to what a step may lose; -1 where they
-    do not follow them. ``kink``: the step ends where some may change their formula."""
+    """How far of a step the guards are known: to what a step may lose by their series, or away from
+    zero; -1 where they do not follow their series. ``kink``: the step ends where some may change
+    their formula."""
     end = HELD_BEFORE if kink else 1.0
-    field, program = now.ints[FIELD], series_of(a, now)
+    field, program, shown = now.ints[FIELD], series_of(a, now), h
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
+        length = h
         if a.guards[g, AFFINE] == 0:
             share = min(max(run[STEP_LOSS], LAST_TERMS), CONVERGED)
-            h = min(h, own_length(room.c[row_of(a, program, field, g)], share))
-    if kink and h <= SIDE_BLUR * abs(t):  # rounding decides on the formula
-        return h
+            length = min(h, own_length(room.c[row_of(a, program, field, g)], share))
+        now.zeros[g - first, SERIES_END] = length
+        shown = min(shown, length)
+    if kink and shown <= SIDE_BLUR * abs(t):  # rounding decides on the formula
+        return shown
+    own = run[METHOD_ORDER] == 0.0 and run[WATCHED] == 0.0
+    if own and 0.0 < WORTH_BOUNDING * shown < h and count(a.programs, program) == 0:
+        shown = away(a, run, now, room, program, t, shown, h)
     for g in range(first, a.fields[field, GUARDS_END]):
         if a.guards[g, AFFINE] == 0:
+            length = min(shown, now.zeros[g - first, SERIES_END])
             for share in (HELD_INSIDE, end):
-                if not follows(a, now, room, program, g, t, share * h):
+                if not follows(a, now, room, program, g, t, share * length):
                     return -1.0
-    return h
+    return shown
 
 
 def follows(
@@ -348,12 +375,13 @@ def follows(
     along(room.c, s, room.there)
     c = room.c[row_of(a, made_by, field, guard)]
     value, _ = power_value(c, 0, c.shape[0] - 1, s)
-    size, _, _ = sizes_of(a, room, guard, t + s, room.there)
-    size += power_size(c, 0, c.shape[0] - 1, s)
     if afresh(a.programs, program, 0, t + s, room.there, room.still, room.aside, room.work) < 0:
         return False
-    exact = room.aside[row_of(a, program, field, guard), 0]
-    return abs(exact - value) <= max(MISSED * EPS * size, ROUNDING_BESIDE * behind(c, s))
+    off = abs(room.aside[row_of(a, program, field, guard), 0] - value)
+    if off <= max(MISSED * EPS * abs(value), ROUNDING_BESIDE * behind(c, s)):
+        return True
+    size, _, _ = sizes_of(a, room, guard, t + s, room.there)
+    return off <= MISSED * EPS * (size + power_size(c, 0, c.shape[0] - 1, s))
 
 
 def begun(a: AutomatonArrays, now: Now, room: Room) -> None:

@@ -141,7 +141,8 @@ OFF = 2  # how far from zero it was at the start of the arc, where it vanishes
 MADE_OF = 3  # the sum of its absolute terms there; negative if it is not known
 REACHES = 4  # 1 if it fires at a kink
 VALUE, RATE, HALF_BEND = 5, 6, 7  # of the guard, where the last step ended
-ZERO_COLUMNS = 8
+SERIES_END = 8  # how far of a step its series is to be read
+ZERO_COLUMNS = 9
 
 #: What comes next in an arc.
 BEGINS = 0  # its start
