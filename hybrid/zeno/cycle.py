@@ -9,11 +9,9 @@ steps, each of which may reject it.
   - 1)`` grows by ``1/p`` per cycle if ``a_k`` falls like ``k^-p``, and is constant for a geometric
   series. Only sequences that grow by less than ``1/p`` with ``p`` clearly above 1 have a sum; the
   harmonic series is rejected.
-2. *Acceleration.* Wynn's epsilon algorithm (exact for sums of geometric sequences) and Levin's
-  transformation (for power laws) give estimates from increasing numbers of terms. The change
-  between the last estimates bounds the error, and that without the last term, or if all terms move
-  by their rounding. Weniger, *Nonlinear sequence transformations*,
-  Computer Physics Reports 10 (1989).
+2. *Acceleration* (:mod:`hybrid.rules.acceleration`). Wynn's epsilon algorithm (exact for sums of
+  geometric sequences) and Levin's transformation (for power laws) give estimates from increasing
+  numbers of terms.
 3. *The pace.* What is left to the limit, and what each turn changes, must have fallen in the last
   turns as in those just before: a table of estimates may not see that the last terms of a sequence
   follow another law, as behind a corner of the flow. Then the turns before that are left out.
@@ -35,13 +33,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import attrs
 import numpy as np
 
+from ..rules import unit
+from ..rules.acceleration import (
+    CYCLE_ROUNDING,
+    ESTIMATE_CAUTION,
+    LEAST_COLUMNS,
+    LEAST_CYCLES,
+    POWER_CYCLES,
+    WORK_ROWS,
+)
 from ..rules.lanes import FAST_FALL, FEW_TURNS, LONGEST_CYCLE
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
-
-#: Turns that establish a cycle, and turns needed if durations fall like a power of their number.
-LEAST_CYCLES, POWER_CYCLES = 6, 48
 
 #: Smallest exponent ``p`` of a power law ``k^-p`` of durations.
 RAABE = 1.1
@@ -52,9 +56,6 @@ RAABE_GROWTH = 0.05
 #: The most of that growth in one turn, in mean ones: where it is more, another law has begun, and
 #: too few turns are known of it.
 STEADY_GROWTH = 4.0
-
-#: Most terms of Levin's transformation, and the ratio of the indices of successive terms used.
-TERMS, THIN = 12, 0.7
 
 #: Largest remaining time to the limit, relative to the time since the first cycle.
 LEFT_TO_LIMIT = 1e-3
@@ -73,19 +74,10 @@ PACE_TURNS = 2
 #: of them, and the errors of the turns before have come through to both.
 PACE_NOISE = 8.0
 
-#: Safety factor on the change between the last estimates.
-ESTIMATE_CAUTION = 8.0
-
-#: Relative rounding of times and states.
-CYCLE_ROUNDING = 4e-16
-
 #: The most that this may leave open of a limit, relative to its size, by a clock, for the limit to
 #: be taken although it is not as exact as was asked: more turns would hardly make it more so.
 #: Without a clock it is not known how much of an error is rounding.
 LEFT_OPEN = 1e-10
-
-#: Signs that follow no pattern: those of the fractions of its multiples, less a half.
-GOLDEN = 0.618033988749895
 
 
 class Clock(NamedTuple):
@@ -292,9 +284,11 @@ def accelerated(
     error if they still change. ``closely``: whether what estimates agree on is tried on other
     sequences, too.
     """
-    estimate = _accelerated if closely else _estimate
-    with np.errstate(all="ignore"):  # equal terms: a non-finite estimate is never the best
-        now, error, noise = np.array([estimate(column, clock) for column in columns.T]).T
+    rows, room = np.ascontiguousarray(columns.T), max(LEAST_COLUMNS, len(columns) + 1)
+    known = np.empty((2, 0)) if clock is None else np.array(clock)
+    found, work = np.empty((len(rows), 3)), np.empty((WORK_ROWS, room))
+    unit("acceleration").accelerated(rows, known, closely, work, found)
+    now, error, noise = found.T
     scale, rounding = np.abs(now) + np.ptp(columns, axis=0), CYCLE_ROUNDING * len(columns)
     error += rounding * scale
     for k in beside:
@@ -336,116 +330,3 @@ def _raabe(durations: Numbers) -> tuple[float, float]:
     own = 1.0 / (durations[:-1] / durations[1:] - 1.0)
     grown = np.diff(own[len(own) // 2 :])
     return float(grown.mean()), float(grown.max())
-
-
-def _accelerated(sequence: Numbers, clock: Clock | None) -> tuple[float, float, float]:
-    """The limit of a sequence, a bound on its error, and what of this is rounding by the clock.
-
-    Estimates may agree by chance. The bound is also that of what becomes of them without the last
-    term, and if the terms move by their rounding, which estimates amplify; by a clock they tell
-    what that makes of them.
-    """
-    if len(sequence) <= LEAST_CYCLES + 1:
-        return _estimate(sequence, clock)
-    moved = None
-    if clock is None:
-        signs = np.where(np.arange(len(sequence)) * GOLDEN % 1.0 < 0.5, 0.5, -0.5)
-        moved = sequence + signs * np.spacing(np.abs(sequence).max())
-    now, error, noise = _estimate(sequence, clock, moved)
-    shorter, *_ = _estimate(sequence[:-1], clock, None if moved is None else moved[:-1])
-    return now, max(error, abs(now - shorter)), noise
-
-
-def _estimate(
-    sequence: Numbers, clock: Clock | None, moved: Numbers | None = None
-) -> tuple[float, float, float]:
-    """The limit of a sequence, how well the last estimates of it agree, also with those of the
-    sequence ``moved`` by its rounding, if any, and what of this is rounding by the clock."""
-    if len(sequence) <= LEAST_CYCLES:
-        before, now = _aitken(sequence[:-1]), _aitken(sequence)
-        return now, ESTIMATE_CAUTION * abs(now - before), 0.0
-    best = (float(sequence[-1]), float("inf"), 0.0)
-    tables = _tables(sequence, clock)
-    beside = tables if moved is None else _tables(moved, clock)
-    for table, others in zip(tables, beside, strict=True):
-        values, noises = np.array(table).reshape(-1, 2).T
-        steps = np.abs(np.diff(values))
-        rows = zip(values[2:], noises[2:], others[2:], steps, steps[1:], strict=False)
-        for value, noise, (other, _), *two in rows:
-            error = ESTIMATE_CAUTION * float(max(*two, abs(value - other))) + float(noise)
-            if error < best[1]:
-                best = (float(value), error, float(noise))
-    return best
-
-
-def _tables(sequence: Numbers, clock: Clock | None) -> list[list[tuple[float, float]]]:
-    """Estimates from more and more of a sequence, by each transformation that may be exact, and
-    what they are off as the clock is."""
-    if clock is not None:
-        return [_levin(sequence, clock)]
-    return [[(value, 0.0) for value in _epsilon(sequence[-POWER_CYCLES:])], _levin(sequence)]
-
-
-def _aitken(sequence: np.ndarray) -> float:
-    """Aitken's formula on the last three terms: the limit of a geometric sequence."""
-    before, last = np.diff(sequence[-3:])
-    still = abs(last) <= CYCLE_ROUNDING * len(sequence) * abs(sequence[-1])
-    return float(sequence[-1] + (0.0 if still else last * last / (before - last)))
-
-
-def _epsilon(sequence: Numbers) -> list[float]:
-    """Limits of a sequence by Wynn's epsilon algorithm: the last entry of each even column.
-
-    It ends with a column that has come to rest: later ones would be made of its rounding.
-    """
-    before, now, estimates = np.zeros(len(sequence) + 1), sequence, [float(sequence[-1])]
-    for column in range(1, len(sequence)):
-        steps = np.diff(now)
-        if column % 2 and _rests(steps[-2:], sequence):
-            return [*estimates, *[float(now[-1])] * 2]
-        before, now = now, before[1:-1] + 1.0 / steps
-        if column % 2 == 0:
-            estimates.append(float(now[-1]))
-    return estimates
-
-
-def _rests(steps: Numbers, sequence: Numbers) -> bool:
-    """Whether steps are no more than the rounding of a sequence."""
-    noise = CYCLE_ROUNDING * len(sequence) * np.max(np.abs(sequence))
-    return bool(np.max(np.abs(steps)) <= noise)
-
-
-def _levin(sequence: Numbers, clock: Clock | None = None) -> list[tuple[float, float]]:
-    """Limits of a sequence by Levin's transformation with increasing numbers of terms, and what
-    they are off as the clock and the terms are.
-
-    The remainder is modelled as ``z a`` times a polynomial in ``1/z``, with ``z`` the clock; the
-    number of the term where there is none. The terms used have geometrically spaced indices;
-    successive ones, as in Levin's u-transform, have the same limit but amplify rounding.
-    """
-    terms = np.diff(sequence)
-    count = np.arange(1, len(sequence))
-    if _rests(terms[-2:], sequence):
-        return [(float(sequence[-1]), 0.0)] * 3
-    if np.any(terms == 0.0):  # it has not fallen all along
-        return []
-    z, off = (count, 0.0 * count) if clock is None else clock
-    rounding = 0.0 if clock is None else CYCLE_ROUNDING
-    estimates = []
-    for k in range(1, TERMS + 1):
-        place = np.unique(np.round(count[-1] * THIN ** np.arange(k + 1)).astype(int))
-        if len(place) <= k or (clock is not None and place[0] == 1):
-            break
-        own, now, order = z[place - 1], terms[place - 1], np.arange(k)
-        parts = now[:, None] * (own[-1] / own)[:, None] ** order
-        rows = np.column_stack([np.ones(k + 1), own[:, None] * parts])
-        try:
-            found = np.linalg.solve(rows, sequence[place])
-            shares = np.abs(np.linalg.solve(rows.T, np.eye(k + 1)[0]))
-        except np.linalg.LinAlgError:  # the terms do not fall: no limit can be found
-            return []
-        left = np.abs(sequence[place] - found[0])
-        known = rounding * np.abs(sequence[place]) * (1.0 + 2.0 * left / np.abs(now))
-        known += off[place - 1] * np.abs(parts @ ((1 - order) * found[1:]))
-        estimates.append((float(found[0]), float(np.linalg.norm(shares * known))))
-    return estimates
