@@ -1,6 +1,7 @@
 """Steps that do not get to the end are told apart from those that are many."""
 
 from contextlib import nullcontext
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import hybrid as hy
 from hybrid.lowering import scene_of
+from hybrid.run.losses import Losses
 from hybrid.run.pace import COUNTED, Pace
 
 from .contract.ways import spread
@@ -100,8 +102,9 @@ def test_steps_as_short_as_the_spacing_of_the_time_end_in_an_error(friction):
 def test_short_steps_alone_are_no_error(model, stuck):
     """Next to a corner of a force, or over a jump to which one side does not lead, all is well."""
     field = scene_of(model).field("moving")
+    losses = Losses(SimpleNamespace(limit=0.0, rtol=0.0), True, np.zeros(2))
     for v in (-1e-12, 0.0, 1e-12):
-        pace = Pace(field, 0.0, 1.0)
+        pace = Pace(field, 0.0, 1.0, losses)
         with pytest.raises(hy.FlowError) if stuck else nullcontext():
             for k in range(4 * COUNTED):
                 pace.steps(1e-10 * (k + 1), np.array([1e-12, v]))

@@ -325,6 +325,7 @@ class _Recorder:
             flow=ints([self.place[i] for i in self.flow]),
             output=ints(output),
             affine=ints([degree(self.graph, number) <= 1 for number in self.functions]),
+            timed=any(name[0] not in "xp" for name in inputs_of(self.graph, self.flow)),
             kinks=table(kinks, 5),
             watched=tuple(self.watched),
             steady=table(self.steady, 6),

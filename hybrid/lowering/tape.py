@@ -79,6 +79,8 @@ class Tape:
         Number of states, and of rows of coefficients.
     ops, more, flow, output, affine
         As the rule takes them; ``output`` lists the rows of the functions.
+    timed : bool
+        Whether the flow depends on the time itself.
     kinks, watched
         The watched functions as the rule takes them, and their descriptions.
     steady
@@ -99,6 +101,7 @@ class Tape:
     flow: Integers
     output: Integers
     affine: Integers
+    timed: bool
     kinks: IntegerMatrix
     watched: tuple[Watched, ...]
     steady: IntegerMatrix
@@ -227,11 +230,11 @@ class Linked:
 
     def add(self, part: Jets) -> int:
         """Append a program and return its number."""
-        ops, more, numbers, kinks, bands, output, flow, affine, code = _arrays(part)
+        ops, more, numbers, kinks, bands, output, flow, *own = _arrays(part)
         ends, move = self._ends, partial(_moved, by=self._ends[2])
         named, listed = NAME_COLUMNS[ops[:, 0]], LIST_COLUMNS[ops[:, 0]]
         ops = np.where(named, move(ops), ops + ends[1] * listed)
-        arrays = [ops, move(more), numbers, kinks, bands, output, move(flow), affine, code]
+        arrays = [ops, move(more), numbers, kinks, bands, output, move(flow), *own]
         self._ends = [end + len(array) for end, array in zip(ends, arrays, strict=True)]
         index = [place for i in (0, 3, 5, 6) for place in (ends[i], self._ends[i])]
         for column, array in zip(self._parts, [table([index], 8), *arrays], strict=True):
@@ -258,7 +261,7 @@ def _arrays(part: Jets) -> list[np.ndarray]:
     tape = part.tape
     bands = np.array([(what.low, what.high) for what in tape.watched]).reshape(-1, 2)
     given = [tape.ops, tape.more, part.numbers, tape.kinks, bands]
-    return [*given, part.output, tape.flow, part.affine, ints([0])]
+    return [*given, part.output, tape.flow, part.affine, ints([tape.timed]), ints([0])]
 
 
 def _moved(places: np.ndarray, by: int) -> np.ndarray:

@@ -37,6 +37,8 @@ class Programs(NamedTuple):
         The derivative of each state; none in a program that is for values only.
     affine : Ints
         For each output 1 if it is affine in time and state, else 0.
+    timed : Ints
+        For each program 1 if its flow depends on the time itself, else 0.
     code : Ints
         For each program the address of its own machine code (:mod:`hybrid.lowering.native`), or 0.
     """
@@ -50,6 +52,7 @@ class Programs(NamedTuple):
     output: Ints
     flow: Ints
     affine: Ints
+    timed: Ints
     code: Ints
 
 

@@ -30,7 +30,7 @@ from .lengths import LAST_TERMS, LOW_ORDER, SHORTEST_STEP, own_length
 from .polynomials import power_size, power_value
 from .zeros import EPS
 
-__all__ = ("few_terms", "forget", "steady", "weak_step")
+__all__ = ("few_terms", "forget", "stands", "steady", "weak_step")
 
 #: The degree of the polynomials.
 FEW = 2
@@ -44,6 +44,15 @@ BEND_PASSES = 3
 
 #: Roundings of a rate that count as none.
 STEADY = 8.0
+
+#: How far beside a state that does not move it is looked whether the flow leads back, relative to
+#: the largest; how many times as far the way back may lead; and steps along it, each so large a
+#: share of what is left of it.
+OFF_REST, WAY_BACK, BACK_STEPS, BACK_SHARE = 1e-8, 1e4, 400, 0.25
+
+#: Beside a jump the rates are as large so many times as far from it: a flow that goes with a power
+#: of the distance has smaller ones, by more than the second number.
+FURTHER_OFF, FADES = 16.0, 0.9
 
 #: A share of a step at which the rates have changed by half as much as at its end, at most, or the
 #: flow jumps: if they change by a root of the time it is a quarter.
@@ -133,7 +142,7 @@ def weak_step(
         h = 0.5 * h if tau + 0.5 * h > tau else 0.0
     if 0.0 < h < most:
         h = (tau + SHARE_TAKEN * h) - tau
-    rests = held and h == most
+    rests = h == most and (held or stays(p, program, t, sides, c, aside, work))
     if h > least and (rests or _leads_out(p, program, t, h, sides, c, aside, work)):
         return h
     return 0.0
@@ -330,6 +339,107 @@ def _leads_out(
     _bent(p, program, t, h, sides, c, aside, work)
     forget(sides)
     return fit
+
+
+def stands(
+    p: Programs,
+    program: int,
+    t: float,
+    x: Floats,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+) -> bool:
+    """Whether a state stands still for good: the flow is zero there, and leads back from beside
+    it."""
+    forget(sides)
+    fit = few_terms(p, program, t, x, sides, c, work)
+    forget(sides)
+    return fit and stays(p, program, t, sides, c, aside, work)
+
+
+def stays(
+    p: Programs, program: int, t: float, sides: Ints, c: Matrix, aside: Matrix, work: Floats
+) -> bool:
+    """Whether the state where polynomials of few terms begin does not move, and the flow leads back
+    from beside it, as friction that goes with a root of the speed does. ``x' = sqrt(x)`` may leave
+    zero at any time, what depends on the time may do so later, and beside a jump switching is
+    declared."""
+    n, size = states(p, program), 0.0
+    if p.timed[program] == 1:
+        return False
+    for i in range(n):
+        if c[i, 1] != 0.0 or c[i, 2] != 0.0:
+            return False
+        size = max(size, abs(c[i, 0]))
+    off = OFF_REST * (size if size > 0.0 else 1.0)
+    for i in range(n):
+        for way in (-off, off):
+            near = rates_off(p, program, t, i, way, sides, c, aside, work)
+            far = rates_off(p, program, t, i, FURTHER_OFF * way, sides, c, aside, work)
+            if not near <= FADES * far:
+                return False
+            if near > 0.0 and not returns(p, program, t, i, way, sides, c, aside, work):
+                return False
+    return True
+
+
+def rates_off(
+    p: Programs,
+    program: int,
+    t: float,
+    i: int,
+    way: float,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+) -> float:
+    """The largest of the rates where one element is off the state where polynomials begin, which is
+    left in ``work``."""
+    first, largest = place(p, program, work), 0.0
+    for j in range(states(p, program)):
+        work[first + j] = c[j, 0] + (way if j == i else 0.0)
+    look(p, program, 0, t, work[first : first + states(p, program)], False, sides, aside, work)
+    for j in range(states(p, program)):
+        rate = abs(rate_of(p, program, j, aside, 0))
+        if not rate <= largest:
+            largest = rate
+    return largest
+
+
+def returns(
+    p: Programs,
+    program: int,
+    t: float,
+    i: int,
+    way: float,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+) -> bool:
+    """Whether the flow from where one element is off a state ends no further off, by Euler's
+    method in steps that shrink as the way back does."""
+    first, n, off = place(p, program, work), states(p, program), abs(way)
+    point, apart = work[first : first + n], off
+    fastest = rates_off(p, program, t, i, way, sides, c, aside, work)
+    for _ in range(BACK_STEPS):
+        if fastest == 0.0:
+            break
+        for j in range(n):
+            point[j] += BACK_SHARE * apart / fastest * rate_of(p, program, j, aside, 0)
+        look(p, program, 0, t, point, False, sides, aside, work)
+        fastest, apart = 0.0, 0.0
+        for j in range(n):
+            fastest = max(fastest, abs(rate_of(p, program, j, aside, 0)))
+            apart = max(apart, abs(point[j] - c[j, 0]))
+        if not apart <= WAY_BACK * off:
+            return False
+        if apart <= BACK_SHARE * off:
+            break
+    return apart <= off * (1.0 + BACK_SHARE)
 
 
 def forget(sides: Ints) -> None:

@@ -52,6 +52,7 @@ from .held import hidden_corner
 from .kinked import begin, is_held
 from .losses import MAY_HIDE, Losses
 from .pace import Pace
+from .standstill import standstill
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -106,6 +107,8 @@ class Flown:
         Edges whose guards are zero there and whose condition fails.
     steps : int
         The number of steps.
+    stands : bool
+        Whether the flow has come to a standstill (:mod:`.standstill`), and the arc goes on.
     """
 
     fired: int | None
@@ -120,6 +123,7 @@ class Flown:
     steps: int = 0
     touched: dict[str, int] = attrs.Factory(dict)
     beyond_by: float = 0.0
+    stands: bool = False
 
 
 class ArcFlow:
@@ -157,7 +161,7 @@ class ArcFlow:
         self.predicted: set[int] = set()
         self.turning: dict[int, Zero] = {}
         self.touching: dict[int, Zero] = {}
-        self.made = 0
+        self.made, self.stands = 0, False
 
     def run(self) -> Flown:
         """Flow until a guard fires or the run ends."""
@@ -168,7 +172,7 @@ class ArcFlow:
         length = self.now.until(self.until)
         if not length > 0.0:  # a jump at the last time: solvers take no step of no length
             return Flown(None, 0.0, self.x, [], [])
-        self.pace = Pace(self.field, self.now.t, length)
+        self.pace = Pace(self.field, self.now.t, length, self.losses)
         target = self.predict(length)
         self._begin_guards()
         stepper = self._begin(length, target)
@@ -186,7 +190,8 @@ class ArcFlow:
         index, carried = (None, False) if fired is None else (fired.index, fired.cut is not None)
         made = stepper.tau, stepper.x, segments, self.grazes
         known = self.tied, self.over, self.made, self._touched(stepper)
-        return Flown(index, *made, False, carried, *known, self._beyond_by(fired, stepper))
+        beyond_by = self._beyond_by(fired, stepper)
+        return Flown(index, *made, False, carried, *known, beyond_by, self.stands)
 
     def _beyond_by(self, fired: Fired | None, stepper: Stepper) -> float:
         """How far beyond the place at which a guard has jumped the arc ends."""
@@ -219,6 +224,8 @@ class ArcFlow:
                 self._step(stepper, limit)
             except FlowError:
                 fired = self._at_border(stepper, start, x)
+                if fired is None and self._stands(stepper, start, x):
+                    break
                 if fired is None or not segments:
                     raise
                 break
@@ -389,8 +396,10 @@ class ArcFlow:
             while stepper.tau < length:
                 self._count(stepper, stepper.finish(length))
         except FlowError as fault:
-            raise FlowError(f"{self._where(stepper.tau, stepper.x)}: {fault}") from None
-        return Flown(None, stepper.tau, stepper.x, [], [], steps=self.made)
+            if not self._stands(stepper, stepper.tau, stepper.x):
+                raise FlowError(f"{self._where(stepper.tau, stepper.x)}: {fault}") from None
+        end = stepper.tau, stepper.x
+        return Flown(None, *end, [], [], steps=self.made, stands=self.stands)
 
     def _step(self, stepper: Stepper, limit: float) -> None:
         tau, x = stepper.tau, stepper.x
@@ -399,6 +408,15 @@ class ArcFlow:
             self._count(stepper, 1)
         except FlowError as fault:
             raise FlowError(f"{self._where(tau, x)}: {fault}") from None
+
+    def _stands(self, stepper: Stepper, tau: float, x: StateVector) -> bool:
+        """Whether the state has come to a standstill, but for what steps may lose, where no step
+        can be made; the arc ends there, and its last state is that (:mod:`.standstill`)."""
+        known = self.field, self.now.t + tau, x, self.losses.allowed(x)
+        there = standstill(*known) if tau > 0.0 else None
+        if there is not None:
+            stepper.tau, stepper.x, self.stands = tau, there, True
+        return there is not None
 
     def _at_border(self, stepper: Stepper, tau: float, x: StateVector) -> Fired | None:
         """The edge that fires where the flow ends, if there is one, as no step can be made from a

@@ -39,6 +39,7 @@ from .losses import Losses
 from .machine import Machine
 from .pace import Pace
 from .recorder import Recorder
+from .standstill import standstill
 from .watch import Watch
 
 if TYPE_CHECKING:
@@ -178,7 +179,11 @@ class Driver:
                 self.entry = self._entered(mode, x, jumped, self.seen)
                 self.jumped = jumped
                 settled(self, field, x, jumped)
-            self.seen = np.maximum(self.seen, np.abs(x))
+            self._see(x)
+
+    def _see(self, x: StateVector) -> None:
+        """Add a state to the largest seen."""
+        self.seen = self.losses.seen = np.maximum(self.seen, np.abs(x))
 
     def _lean(self, jumped: Jumped) -> bool:
         """Whether the compiled loop knows enough to examine the start of the next arc."""
@@ -375,6 +380,9 @@ class Driver:
         if flown is None:
             return
         fired = None if flown.fired is None else field.guards[flown.fired]
+        if flown.stands:
+            self.stand(flown)
+            return
         at_clock = due == until and not flown.interrupted
         if at_clock:
             flown = self._gather(flown, due)
@@ -421,6 +429,13 @@ class Driver:
             edge = entry.field.guards[index].edge
             self.record.grazings.append(Jump(now.t + tau, self.record.j, edge, record, record))
         return flown
+
+    def stand(self, flown: Flown) -> None:
+        """Continue an arc at a standstill."""
+        field, known = self.entry.field, self.vanishing
+        signs = signs_at_end(self.entry, self.t + flown.length, flown.x, self.reach(flown.x))
+        self._extend(flown)
+        self.enter(field.mode, flown.x, Jumped(known, field.held, passing=signs))
 
     def _extend(self, flown: Flown) -> StateVector:
         """Record a part of an arc that goes on; returns the state at its end."""
@@ -506,7 +521,7 @@ class Driver:
         field, self.spent = self.entry.field, frozenset()
         known = self.vanishing
         self.begin(field, x, lambda: Jumped(known, field.held, passing=signs))
-        self.seen = np.maximum(self.seen, np.abs(x))
+        self._see(x)
 
     def pass_window(self, fired: Guard | None, x: StateVector) -> None:
         """Continue an arc with the next window of the past, or the next piece of the signals."""
@@ -575,7 +590,7 @@ class Driver:
 
     def watch_pace(self) -> None:
         """Begin to watch the step sizes of an arc that is flown many steps at a time."""
-        self.pace = Pace(self.field, self.t, self.record.now.until(self.plan.t1))
+        self.pace = Pace(self.field, self.t, self.record.now.until(self.plan.t1), self.losses)
 
     def count_steps(self, tau: float, x: StateVector, count: int) -> None:
         """Count steps of that arc, up to a local time and state."""
@@ -584,6 +599,10 @@ class Driver:
         except FlowError as fault:
             where = describe(self.scene, self.entry.field, self.t + tau, x)
             raise FlowError(f"{where}: {fault}") from None
+
+    def slows(self, x: StateVector) -> bool:
+        """Whether the state is next to where the flow comes to a standstill."""
+        return standstill(self.field, self.t, x, self.losses.allowed(x)) is not None
 
     def where(self, x: StateVector) -> str:
         """Model, mode, time and state, for error messages."""

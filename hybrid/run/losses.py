@@ -45,6 +45,10 @@ class Losses:
         size = float(np.max(self.seen, initial=0.0))
         return self.plan.rtol + (self.plan.limit / size if size else 0.0)
 
+    def allowed(self, x: StateVector) -> StateVector:
+        """What the tolerances allow of a state, by the largest seen."""
+        return self.plan.limit + self.plan.rtol * np.maximum(self.seen, np.abs(x))  # type: ignore[no-any-return]
+
     def note(self, field: Field, t: float, start: float, x: StateVector, stepper: Stepper) -> None:
         """Add what a step has lost that began at a local time, in a state: how far its end is from
         that of series of the flow; where there are none that have converged, a tolerance."""

@@ -215,7 +215,12 @@ class Machine:
             if stands:
                 driver.watch = self._series()
                 self._stand(left, status)
-            self.tell(0.0 if ended or stands else self._hold(left), left)
+            try:
+                self.tell(0.0 if ended or stands else self._hold(left), left)
+            except FlowError:
+                if not driver.slows(self.now.end):
+                    raise
+                self.ints[PHASE], status = BEGINS, LOOK
             if ended or stands or self._spent(status, left):
                 return
             driver.watch = self._series()

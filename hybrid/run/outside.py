@@ -100,7 +100,7 @@ class Outside:
         self.field = self.driver.scene.field(field.name) if seen else field
         self.since = Instant(t, float(now.floats[LOW]))
         self.stepper = begin(self.driver.flies, self.field, t, x, length, first or None, sizes)
-        self.pace = Pace(self.field, t, length)
+        self.pace = Pace(self.field, t, length, self.driver.losses)
 
     def show(self, now: Now, room: Room, left: Left) -> None:
         """Give the loop the polynomial of the last step."""

@@ -48,8 +48,8 @@ NO_FLOW_HERE = (
 #: What is said where steps get stuck at a jump of the flow.
 LEADS_BACK = (
     "where a flow that jumps (sign, where) leads back to the jump from both sides, declare "
-    "hy.switching; where it has a root there, as sign(x) * sqrt(abs(x)), give it a finite slope, "
-    "as x / sqrt(abs(x) + 1e-6)"
+    "hy.switching; where it has a root there, as sign(x) * sqrt(abs(x)), and not all states come "
+    "to rest for good, give it a finite slope, as x / sqrt(abs(x) + 1e-6)"
 )
 
 
