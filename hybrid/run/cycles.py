@@ -161,17 +161,20 @@ class Turn:
         The jumps of the first turn looked at; they give the sizes with which the cycle began.
     limits, errors : list of array
         The limits of the states after these jumps, and bounds on their errors.
+    moved : array
+        How far the states have moved in that first turn. At the jumps alone one that is zero at
+        each of them, but for rounding, has not.
     """
 
     seen: list[Seen]
     first: list[Seen]
     limits: list[np.ndarray]
     errors: list[np.ndarray]
+    moved: Numbers
 
     def slack(self, k: int, rtol: float) -> Numbers:
         """How far a state near the k-th limit may be from it."""
-        moved = np.ptp(np.array([seen.x for seen in self.first]), axis=0)
-        return ZERO * moved + 10 * self.errors[k] + 10 * rtol * np.abs(self.limits[k])
+        return ZERO * self.moved + 10 * self.errors[k] + 10 * rtol * np.abs(self.limits[k])
 
     def known(self, k: int) -> Numbers:
         """How well the k-th limit is known."""
@@ -408,7 +411,7 @@ class Cycles:
             blur = partial(blurs, scene, self.seen, closings, length)
             ends = rtol, atol, self.beside, blur, self.seen.spans(closings), lost
             found = limit(self._cycle(shortest), times, states, *ends)
-            turn = None if found is None else self._turn(length, found)
+            turn = None if found is None else self._turn(scene, length, found)
             if found is not None and turn is not None:
                 return attrs.evolve(found, ratio=found.ratio ** (shortest / length)), turn
         return None
@@ -473,7 +476,7 @@ class Cycles:
         longer = np.flatnonzero(~(turns[:-1] > turns[1:]))
         return closings[int(longer[-1]) + 1 if len(longer) else 0 :]
 
-    def _turn(self, length: int, found: CycleLimit) -> Turn | None:
+    def _turn(self, scene: Scene, length: int, found: CycleLimit) -> Turn | None:
         """The last turn of a cycle whose limit was found, with the limit after each of its
         jumps."""
         limits, errors = [found.x_inf], [found.x_error]
@@ -489,7 +492,7 @@ class Cycles:
             errors.append(error)
         first = self.last(length + 1, length * (found.turns - 2))
         limits, errors = [*limits, found.x_inf], [*errors, found.x_error]
-        return Turn(self.last(length + 1), first, limits, errors)
+        return Turn(self.last(length + 1), first, limits, errors, moves(scene, first))
 
     def _standing(self, length: int) -> Turn:
         """The last turn of a cycle that stands still, with how much the states after each jump
@@ -499,7 +502,17 @@ class Cycles:
         errors = [np.ptp(self.seen.x[phase], axis=0) for phase in phases]
         for error in errors:
             error[self.beside] = np.where(error[self.beside], np.inf, 0.0)
-        return Turn(last, last, [seen.x for seen in last], errors)
+        moved = np.ptp(np.array([seen.x for seen in last]), axis=0)
+        return Turn(last, last, [seen.x for seen in last], errors, moved)
+
+
+def moves(scene: Scene, turn: list[Seen]) -> Numbers:
+    """How far states move in a turn: from jump to jump, or by their rates there in all its time."""
+    rates = [scene.field(seen.mode).flow(seen.t, seen.x) for seen in turn]
+    fastest = np.nan_to_num(np.abs(rates), posinf=0.0).max(axis=0)
+    return np.maximum(  # type: ignore[no-any-return]
+        np.ptp(np.array([seen.x for seen in turn]), axis=0), fastest * turn[0].until(turn[-1])
+    )
 
 
 def _shrinks(t: Numbers, low: Numbers, count: int) -> bool:
