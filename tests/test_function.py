@@ -707,3 +707,45 @@ def test_a_rest_that_leaves_no_freedom_has_derivatives_whatever_was_before():
     found = jax.jacfwd(lambda a: f(Wedged(a=a), start).final.x)(Wedged().a)
     wall, floor = np.sin(end), np.sin(3.9891155668576372 * end)
     np.testing.assert_allclose(found, (wall + 0.05 * floor) / 0.995, rtol=1e-12)
+
+
+class Plastic(hy.Automaton):
+    """A body that does not bounce off a table that shakes, but is thrown once."""
+
+    x = hy.state()
+    v = hy.state()
+    g = hy.parameter(9.8)
+    a = hy.parameter(0.5)
+    r = hy.parameter(0.0)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -self.g
+
+    table = hy.contact(
+        flight, gap=lambda self, t, s: s.x - self.a * jnp.sin(5.0 * t), restitution="r"
+    )
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("until", [0.69, 1.0])
+def test_derivatives_through_perfectly_plastic_impacts(solver, until):
+    """The second rests at once: its limit is the impact itself. Had it any restitution the limit
+    would be later, by more than nothing at first order: by that there is no derivative of it."""
+    function = hy.as_function(Plastic(), t=(0.0, until), solver=solver, rtol=1e-12, max_jumps=4)
+
+    def ends(h, g, a, r):
+        got = function(Plastic(g=g, a=a, r=r), {"x": h, "v": 0.0})
+        jumps = got.jumps
+        rows = (jumps.t[:2], jumps.before["v"][:2], jumps.after["v"][:2])
+        return jnp.concatenate([*rows, jnp.array([got.zeno.t, got.final["x"], got.final["v"]])])
+
+    at, by = (0.8, 9.8, 0.5, 0.0), (0, 1, 2)
+    forward, reverse = (d(ends, by)(*at) for d in (jax.jacfwd, jax.jacrev))
+    for k in by:
+        ahead, back = (ends(*(p + s * (i == k) for i, p in enumerate(at))) for s in (1e-6, -1e-6))
+        differences = (ahead - back) / 2e-6
+        for found in (forward[k], reverse[k]):
+            np.testing.assert_allclose(found, differences, rtol=1e-7, atol=1e-8)
+    if until == 1.0:
+        assert np.isnan(jax.jacfwd(ends, 3)(*at)[6])

@@ -270,10 +270,41 @@ class Walk:
             if index in jumps:
                 group.append((index, jumps[index]))
             elif not last and isinstance(part, Arc):
-                yield self.unknown(index, True)
+                yield from self._at_limit(group, index)
                 yield from self.onto(index + 1)
+                group = []
         if group:
             yield self._resolved(partial(self.jump, group, None), group[0][0], False)
+
+    def _at_limit(self, group: Sequence[Row], index: int) -> Iterator[Factor]:
+        """The factors of the jumps at a limit that no sum has led to, and of the limit."""
+        if group and self._stays(*group[-1]):
+            yield self._resolved(partial(self.rests, group, index), index, True)
+            return
+        if group:
+            yield self._resolved(partial(self.jump, group, index), group[0][0], False)
+        yield self.unknown(index, True)
+
+    def _stays(self, place: int, row: JumpRow) -> bool:
+        """Whether a jump is a perfectly plastic impact: the contact rests from there on."""
+        if row.edge not in self.scene.contacts or self.course.sight:
+            return False
+        scene, x = self.beside(place, True)[0], row.before.tolist()
+        speed = self.fired(place, row)[1].lie(row.t, x)[1]
+        return bool(scene.contact(row.edge).law(row.t, x, speed) == 0.0)
+
+    def rests(self, group: Sequence[Row], index: int) -> Factor:
+        """The factor of a perfectly plastic impact, and of the limit that it is at once. What gives
+        the contact a speed behind it, as the restitution does, has another limit."""
+        factor, (place, row) = self.jump(group, index + 1), group[-1]
+        last, (field, guard) = factor.moments[-1], self.fired(place, row)
+        of, nothing = self.beside(place, True)[1], np.full(len(factor.moments[-1].time), np.nan)
+        gradient = of.matrix(of.of_speed(guard, field))(row.t, row.after)
+        moved = self._moved(last.time, last.after)
+        tie = cleared(gradient @ moved, np.abs(gradient) @ np.abs(moved), TIED)
+        limit = Moment(index, last.time, last.after, last.after, nothing)
+        known = [tie] if factor.ties is None else [factor.ties, tie]
+        return attrs.evolve(factor, moments=(*factor.moments, limit), ties=np.vstack(known))
 
     def _resolved(self, make: Callable[[], Factor], index: int, limit: bool) -> Factor:
         """The factor of a jump or a limit; by parameters, one that there is none of is unknown."""
