@@ -713,3 +713,31 @@ def test_a_lag_of_nearly_zero_that_cannot_be_seen_through_says_so(monkeypatch):
     monkeypatch.setattr(Memory, "_read", lambda self: NEXT_TO_NOTHING)
     with pytest.raises(hy.FlowError, match=r"mode flight, t = 0.0, .*the lag .* is 0\.0, .*s\.x"):
         hy.simulate(NoLag(), {"x": 0.25, "v": 0.0}, (0.0, 2.0))
+
+
+class OnALate(hy.Automaton):
+    """A ball on a ball, which it sees 0.45 s late."""
+
+    y = hy.state()
+    w = hy.state()
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flight(self, t, s, past):
+        return s.w, -5.7, s.v, -11.0
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.y, restitution=0.64)
+    top = hy.contact(flight, gap=lambda self, t, s, past: s.x - past(0.45).y, restitution=0.5)
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-8, 1e-10, 1e-12])
+def test_what_is_seen_of_the_last_flights_before_a_limit_is_in_its_bound(rtol):
+    """The upper ball follows the lower one's impacts to their end. Below the tolerances the record
+    is at rest, and what bounces on it is off by a root of them; all runs compared had the same."""
+    start = {"y": 0.84, "w": -0.58, "x": 1.87, "v": -0.87}
+    run = hy.simulate(OnALate(), start, (0.0, 4.0), rtol=rtol, atol=0.1 * rtol, solver="taylor")
+    fast = math.sqrt(0.58**2 + 2.0 * 5.7 * 0.84)
+    limit = (fast - 0.58) / 5.7 + 2.0 * 0.64 * fast / (5.7 * 0.36) + 0.45
+    assert [point.edges for point in run.zeno] == [("floor",), ("top",)]
+    assert abs(run.zeno[1].t - limit) <= run.zeno[1].t_error < math.sqrt(rtol)

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
     from ..trajectory.accumulation import Accumulation
 
+#: Tolerances of a run that is compared, against those of the run: of its own method, and of what
+#: delays show it of the last flights before a limit, below which the record is at rest.
+FINER = 1e-2
+
 #: Relative change of the start of the third run, by which grown rounding is measured.
 NUDGE = 8e-15
 
@@ -195,13 +199,16 @@ class _Again:
             blur = EPS * max(abs(plan.t0), abs(plan.t1)) / (plan.t1 - plan.t0)
             plan = attrs.evolve(plan, rtol=max(FINEST, blur), atol=1e-4 * plan.atol)
             return chosen(plan, "scipy", "DOP853")
-        finer = {"rtol": max(1e-2 * plan.rtol, 3e-14), "atol": 1e-2 * plan.atol}
+        finer = {"rtol": max(FINER * plan.rtol, 3e-14), "atol": FINER * plan.atol}
         return chosen(attrs.evolve(plan, **finer), *self.own)
 
     def _plan(self, name: str, moved: bool) -> Plan:
         made, alike = self.made, self._runs.get((name, False))
+        plan = made.plan
+        if made.scene.spec.lags:  # what delays see of the last flights before a limit
+            plan = attrs.evolve(plan, rtol=FINER * plan.rtol, atol=FINER * plan.atol)
         return attrs.evolve(
-            made.plan,
+            plan,
             dense=False,
             samples=None,
             accumulations=len(made.zeno),
