@@ -39,7 +39,6 @@ from .losses import Losses
 from .machine import Machine
 from .pace import Pace
 from .recorder import Recorder
-from .standstill import standstill
 from .watch import Watch
 
 if TYPE_CHECKING:
@@ -599,10 +598,6 @@ class Driver:
         except FlowError as fault:
             where = describe(self.scene, self.entry.field, self.t + tau, x)
             raise FlowError(f"{where}: {fault}") from None
-
-    def slows(self, x: StateVector) -> bool:
-        """Whether the state is next to where the flow comes to a standstill."""
-        return standstill(self.field, self.t, x, self.losses.allowed(x)) is not None
 
     def where(self, x: StateVector) -> str:
         """Model, mode, time and state, for error messages."""

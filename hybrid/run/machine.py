@@ -98,6 +98,7 @@ from .lookback import at_window, looked_back, passes
 from .outside import Outside
 from .proved import proves, tail_of
 from .rooms import Rooms, left_for
+from .standstill import standstill
 from .watch import Watch
 from .watched import Holding
 
@@ -218,9 +219,10 @@ class Machine:
             try:
                 self.tell(0.0 if ended or stands else self._hold(left), left)
             except FlowError:
-                if not driver.slows(self.now.end):
+                allowed = driver.losses.allowed(self.now.end)
+                if standstill(driver.field, driver.t, self.now.end, allowed) is None:
                     raise
-                self.ints[PHASE], status = BEGINS, LOOK
+                self.ints[PHASE], status = BEGINS, LOOK  # the driver ends the arc there
             if ended or stands or self._spent(status, left):
                 return
             driver.watch = self._series()

@@ -42,7 +42,7 @@ def standstill(field: Field, t: float, x: StateVector, allowed: StateVector) -> 
 def _is_near(kink: Kink, t: float, x: StateVector, allowed: StateVector) -> bool:
     """Whether a deciding function is zero somewhere as near as ``allowed``, by its slopes."""
     value, slopes = kink.value(t, x.tolist()), _slopes(kink, t, x)
-    return bool(abs(value) <= np.abs(slopes) @ allowed)
+    return bool(np.isfinite(slopes).all() and abs(value) <= np.abs(slopes) @ allowed)
 
 
 def _slopes(kink: Kink, t: float, x: StateVector) -> StateVector:

@@ -287,11 +287,12 @@ class Walk:
 
     def _stays(self, place: int, row: JumpRow) -> bool:
         """Whether a jump is a perfectly plastic impact: the contact rests from there on."""
-        if row.edge not in self.scene.contacts or self.course.sight:
-            return False
         scene, x = self.beside(place, True)[0], row.before.tolist()
-        speed = self.fired(place, row)[1].lie(row.t, x)[1]
-        return bool(scene.contact(row.edge).law(row.t, x, speed) == 0.0)
+        guards = scene.field(self.course.parts[place].mode).guards
+        hit = [g for g in guards if (g.edge, g.kind) == (row.edge, Kind.CONTACT)]
+        if not hit or self.course.sight:
+            return False
+        return bool(scene.contact(row.edge).law(row.t, x, hit[0].lie(row.t, x)[1]) == 0.0)
 
     def rests(self, group: Sequence[Row], index: int) -> Factor:
         """The factor of a perfectly plastic impact, and of the limit that it is at once. What gives
