@@ -300,7 +300,11 @@ class Memory:
         self.until = t
 
     def tail(self, part: TailPart) -> None:
-        """Record impacts of a tail until delays cannot tell them from the limit; then the limit."""
+        """Record impacts of a tail until delays cannot tell them from the limit; then the limit.
+
+        They tell them by how high they are and, where a guard, a gap or a formula looks at them, by
+        how long they take.
+        """
         tail = part.tail
         if self.told:
             return
@@ -312,7 +316,8 @@ class Memory:
         for n in range(tail.count + 1):
             arc = part.arc(n)
             last = n == tail.count or arc.length <= BRIEF_FLIGHT * np.spacing(abs(part.t1))
-            if last or self._low(arc, tail.x_inf):
+            brief = part.t1 - arc.t0 <= self.plan.rtol * (part.t1 - self.plan.t0)
+            if last or (brief and self._low(arc, tail.x_inf)):
                 break
             self.flown(Instant(arc.t0, arc.low), arc.segments)
             hit = part.jump(n + 1)
