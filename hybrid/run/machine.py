@@ -216,13 +216,7 @@ class Machine:
             if stands:
                 driver.watch = self._series()
                 self._stand(left, status)
-            try:
-                self.tell(0.0 if ended or stands else self._hold(left), left)
-            except FlowError:
-                allowed = driver.losses.allowed(self.now.end)
-                if standstill(driver.field, driver.t, self.now.end, allowed) is None:
-                    raise
-                self.ints[PHASE], status = BEGINS, LOOK  # the driver ends the arc there
+            status = self._report(status, left, ended or stands)
             if ended or stands or self._spent(status, left):
                 return
             driver.watch = self._series()
@@ -251,6 +245,19 @@ class Machine:
                 self.driver.watch_pace()
             self.driver.count_steps(tau, self.now.end, made)
         return tau
+
+    def _report(self, status: int, left: Left, ended: bool) -> int:
+        """Report progress, and the steps of an arc that goes on; returns the status, or ``LOOK``
+        where their pace shows that the flow stands still: the driver ends the arc there."""
+        driver, x = self.driver, self.now.end
+        try:
+            self.tell(0.0 if ended else self._hold(left), left)
+        except FlowError:
+            if standstill(driver.field, driver.t, x, driver.losses.allowed(x)) is None:
+                raise
+            self.ints[PHASE] = BEGINS
+            return LOOK
+        return status
 
     def _spent(self, status: int, left: Left) -> bool:
         """Whether the run has used up its steps; if so, records the arc as far as it was flown."""
