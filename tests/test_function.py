@@ -749,3 +749,5 @@ def test_derivatives_through_perfectly_plastic_impacts(solver, until):
             np.testing.assert_allclose(found, differences, rtol=1e-7, atol=1e-8)
     if until == 1.0:
         assert np.isnan(jax.jacfwd(ends, 3)(*at)[6])
+        told = hy.simulate(Plastic(), {"x": 0.8, "v": 0.0}, (0.0, until), solver=solver).explain()
+        assert "gaps that fall by no one ratio" in told  # nothing is drawn

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.chance import DRAWS
 from ..automaton.record import Record
 from ..lowering.scene import parted
 from ..zeno.cycle import period
@@ -242,7 +243,8 @@ def explain(point: Accumulation) -> str:
     if point.ratio == 1.0:
         pace = "gaps that fall like a power (ratio 1)"
     elif isnan(point.ratio):
-        pace = "gaps that fall at random"
+        drawn = DRAWS in point.state.keys()
+        pace = "gaps that fall at random" if drawn else "gaps that fall by no one ratio"
     return (
         f"Jumps of {cycle} accumulate at t_inf = {point.t!r} with {pace}; the "
         f"limit {how}. {then} (zeno='rest' goes on at rest, 'stop' ends the "
