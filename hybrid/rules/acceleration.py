@@ -12,6 +12,7 @@ import math
 
 from .advance import GOLDEN
 from .arrays import Floats, Matrix
+from .linear import solve
 
 __all__ = ("accelerated",)
 
@@ -29,8 +30,8 @@ ESTIMATE_CAUTION = 8.0
 CYCLE_ROUNDING = 4e-16
 
 # Rows to work in: the sequence moved by its rounding; estimates and what they are off as the clock
-# is, of both; the last two columns of Wynn's table; the indices of the terms used, and shares of
-# them in an estimate; equations.
+# is, of both; the last two columns of Wynn's table; the indices of the terms used; equations, and
+# their right sides.
 (
     MOVED,
     VALUES,
@@ -40,10 +41,10 @@ CYCLE_ROUNDING = 4e-16
     BEFORE,
     NOW,
     TERM_PLACES,
-    TERM_SHARES,
     EQUATION_ROWS,
-) = range(10)
-WORK_ROWS, LEAST_COLUMNS = EQUATION_ROWS + TERMS + 1, POWER_CYCLES + 1
+) = range(9)
+RIGHT_ROWS = EQUATION_ROWS + TERMS + 1
+WORK_ROWS, LEAST_COLUMNS = RIGHT_ROWS + TERMS + 1, POWER_CYCLES + 1
 
 
 def accelerated(
@@ -120,8 +121,8 @@ def estimate(
     for way in range(2):
         if way == 0 and clock.shape[1] > 0:
             continue
-        own, values, noises = sequence, work[VALUES], work[NOISES]
-        count = table(way, own, clock, values, noises, work)
+        values, noises = work[VALUES], work[NOISES]
+        count = table(way, sequence, clock, values, noises, work)
         others, common = values, count
         if moves:
             others = work[OTHERS]
@@ -212,13 +213,11 @@ def levin(sequence: Floats, clock: Matrix, values: Floats, noises: Floats, work:
         found = places(n - 1, k, work[TERM_PLACES])
         if found <= k or work[TERM_PLACES, 0] < (2.0 if timed else 1.0):
             break
-        if not (equations(sequence, clock, k + 1, True, work) and solved(work, k + 1)):
+        rights = k + 2 if timed else 1
+        equations(sequence, clock, k + 1, rights, work)
+        if not solve(work[EQUATION_ROWS:RIGHT_ROWS], k + 1, work[RIGHT_ROWS:], rights):
             return 0  # the terms do not fall: no limit can be found
-        for j in range(k + 1):
-            work[TERM_SHARES, j] = abs(work[EQUATION_ROWS + j, k + 1])
-        if not (equations(sequence, clock, k + 1, False, work) and solved(work, k + 1)):
-            return 0
-        values[count] = work[EQUATION_ROWS, k + 1]
+        values[count] = work[RIGHT_ROWS, 0]
         noises[count] = off(sequence, clock, k + 1, work) if timed else 0.0
         count += 1
     return count
@@ -246,64 +245,32 @@ def model(
     return own, ratio(last, own), sequence[place] - sequence[place - 1]
 
 
-def equations(sequence: Floats, clock: Matrix, size: int, transposed: bool, work: Matrix) -> bool:
-    """Write down those of the limit and of the polynomial; ``transposed``, those of the shares of
-    the terms in the limit. Returns whether all is finite."""
-    finite = True
+def equations(sequence: Floats, clock: Matrix, size: int, rights: int, work: Matrix) -> None:
+    """Write down those of the limit and of the polynomial; behind their right side, unit vectors:
+    the limit that each gives is the share that a term has in it."""
     for i in range(size):
         own, falls, term = model(sequence, clock, work, size, i)
-        part = own * term
-        for j in range(size):
-            value = 1.0 if j == 0 else part
-            part = part * falls if j > 0 else part
-            finite = finite and math.isfinite(value)
-            if transposed:
-                work[EQUATION_ROWS + j, i] = value
-            else:
-                work[EQUATION_ROWS + i, j] = value
-        right = sequence[int(work[TERM_PLACES, i])]
-        work[EQUATION_ROWS + i, size] = (1.0 if i == 0 else 0.0) if transposed else right
-    return finite
-
-
-def solved(work: Matrix, n: int) -> bool:
-    """Solve equations by elimination, with exchange of rows; the unknowns are left in place of the
-    right side. Returns whether there is one solution."""
-    for k in range(n):
-        best = k
-        for i in range(k + 1, n):
-            if abs(work[EQUATION_ROWS + i, k]) > abs(work[EQUATION_ROWS + best, k]):
-                best = i
-        if work[EQUATION_ROWS + best, k] == 0.0:
-            return False
-        for j in range(k, n + 1):
-            value = work[EQUATION_ROWS + k, j]
-            work[EQUATION_ROWS + k, j] = work[EQUATION_ROWS + best, j]
-            work[EQUATION_ROWS + best, j] = value
-        for i in range(k + 1, n):
-            factor = work[EQUATION_ROWS + i, k] / work[EQUATION_ROWS + k, k]
-            for j in range(k + 1, n + 1):
-                work[EQUATION_ROWS + i, j] -= factor * work[EQUATION_ROWS + k, j]
-    for i in range(n - 1, -1, -1):
-        total = work[EQUATION_ROWS + i, n]
-        for j in range(i + 1, n):
-            total -= work[EQUATION_ROWS + i, j] * work[EQUATION_ROWS + j, n]
-        work[EQUATION_ROWS + i, n] = total / work[EQUATION_ROWS + i, i]
-    return True
+        row, right, part = work[EQUATION_ROWS + i], work[RIGHT_ROWS + i], own * term
+        row[0], right[0] = 1.0, sequence[int(work[TERM_PLACES, i])]
+        for j in range(1, size):
+            row[j] = part
+            part *= falls
+        for j in range(1, rights):
+            right[j] = 1.0 if j == i + 1 else 0.0
 
 
 def off(sequence: Floats, clock: Matrix, size: int, work: Matrix) -> float:
     """What the limit is off as the clock and the terms are, each by its share."""
-    total, limit = 0.0, work[EQUATION_ROWS, size]
+    total, limit = 0.0, work[RIGHT_ROWS, 0]
     for i in range(size):
         _, falls, term = model(sequence, clock, work, size, i)
         place = int(work[TERM_PLACES, i])
         bends, part = 0.0, term
         for j in range(size - 1):
-            bends += part * (1 - j) * work[EQUATION_ROWS + 1 + j, size]
+            bends += part * (1 - j) * work[RIGHT_ROWS + 1 + j, 0]
             part *= falls
         left = abs(sequence[place] - limit)
         known = CYCLE_ROUNDING * abs(sequence[place]) * (1.0 + 2.0 * left / abs(term))
         known += clock[1, place - 1] * abs(bends)
-        total += (work[TERM_SHARES, i] * known) ** 2
+        total += (work[RIGHT_ROWS, 1 + i] * known) ** 2
     return math.sqrt(total)

@@ -108,8 +108,8 @@ def clear(
         if a.guards[g, AFFINE] == 0 and now.zeros[g - first, SERIES_END] < end:
             size = 0.0
             for k in range(a.guards[g, USES], a.guards[g, USES_END]):
-                of = box[a.uses[k]]
-                size = max(size, max(-of[0], of[1]))
+                own = box[a.uses[k]]
+                size = max(size, max(-own[0], own[1]))
             row = p.output[p.index[program, OUTPUT] + g - first]
             leaves = room.c[row, now.orders[g - first]]  # to this side
             least = run[ABSOLUTE] + run[RELATIVE] * size
